@@ -1,0 +1,5 @@
+"""Lenses, boards, calibration.
+
+Here: projection models, calibration boards, calibration and its doubt. In: pixels and board points. Out: ``Calibration``.
+Plug points: ``LENSES`` (lens.py), ``BOARDS`` (boards.py).
+"""

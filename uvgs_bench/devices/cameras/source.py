@@ -1,0 +1,58 @@
+"""What a camera is to the rest of the program.
+
+To add a source: 1. write a class with the methods of ``CameraSource`` in a file of its own; 2. add one line to
+``CAMERAS`` in ``registry.py``; 3. the contract tests of ``tests/unit/devices`` then run over it.
+
+Contract: ``grab`` returns the next capture whose exposure began after the call for a live source, or the next one in
+order for a recorded source, and None when a recorded source has ended; indices count from 0 without gaps;
+``t_ns`` never runs backwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Protocol, Self
+
+from uvgs_bench.sensor.capture import Capture
+
+
+class CameraSource(Protocol):
+    """A camera, or a recording of one, that is open."""
+
+    @property
+    def spec(self) -> str:
+        """The spec string it was opened by."""
+        ...
+
+    @property
+    def is_live(self) -> bool:
+        """Whether captures are taken now (True) or were recorded before (False)."""
+        ...
+
+    @property
+    def length(self) -> int | None:
+        """Number of captures if known."""
+        ...
+
+    def grab(self) -> Capture | None:
+        """Next capture, or None at the end of a recording. Raises CaptureError."""
+        ...
+
+    def __iter__(self) -> Iterator[Capture]:
+        """All captures until the end."""
+        ...
+
+    def close(self) -> None:
+        """Release the device or file. Safe to call twice."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Enter a context that closes the source."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        ...

@@ -1,0 +1,56 @@
+"""The bench clock: what time it is and how to wait, real or simulated."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+from uvgs_bench.units import ns_from_s, s_from_ns
+
+
+class Clock(Protocol):
+    """Monotonic bench time."""
+
+    def now_ns(self) -> int:
+        """Monotonic bench time, ns."""
+        ...
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait for a duration of bench time, s."""
+        ...
+
+
+class RealClock:
+    """The machine's monotonic clock."""
+
+    def now_ns(self) -> int:
+        """Monotonic time, ns."""
+        return time.monotonic_ns()
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait, s."""
+        if duration_s > 0.0:
+            time.sleep(duration_s)
+
+
+class ScaledClock:
+    """Bench time that runs ``speed`` times faster than real time.
+
+    Args:
+        speed: Factor, > 0.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        if not speed > 0.0:
+            raise ValueError(f"speed must be positive, got {speed}")
+        self.speed = speed
+        self._start_ns = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        """Bench time since construction, ns."""
+        return ns_from_s(s_from_ns(time.monotonic_ns() - self._start_ns) * self.speed)
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait for a duration of bench time, s."""
+        if duration_s > 0.0:
+            time.sleep(duration_s / self.speed)

@@ -1,0 +1,120 @@
+"""What a gantry is to the rest of the program.
+
+To add a driver: 1. write a class with the methods of ``Gantry``; 2. add one line to ``GANTRIES``; 3. the contract tests
+of ``tests/unit/devices`` then run over it. A driver never moves unhomed, outside the envelope, or after an alarm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Literal, Protocol, Self
+
+from uvgs_bench.devices.gantry.axes import Axis, Envelope
+from uvgs_bench.geometry import FloatArray
+
+WireDirection = Literal[">", ">!", "<", "#"]
+WireLog = Callable[[int, WireDirection, str], None]
+"""Called for everything on the wire: bench time ns, direction (line out, byte out, line in, remark), text."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GantryState:
+    """The gantry at one instant.
+
+    Args:
+        t_ns: Bench time, ns.
+        activity: The controller's word: Idle, Run, Jog, Hold, Alarm, Home, Door, Check, Sleep.
+        position: Machine axis positions, shape (A,), m or rad.
+        is_homed: Whether homing completed since the last loss of position.
+        is_trusted: Whether the position can be used as truth (homed, at rest, no alarm since).
+        details: Other fields of the report by name, as text.
+    """
+
+    t_ns: int
+    activity: str
+    position: FloatArray
+    is_homed: bool
+    is_trusted: bool
+    details: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerInfo:
+    """Who answered: firmware name, version and settings as read at connection."""
+
+    firmware: str
+    version: str
+    options: str
+    settings: dict[str, str]
+
+
+class Gantry(Protocol):
+    """A gantry that is open."""
+
+    @property
+    def port(self) -> str:
+        """The port as the user named it."""
+        ...
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes in the controller's order."""
+        ...
+
+    @property
+    def envelope(self) -> Envelope:
+        """What may be reached."""
+        ...
+
+    @property
+    def info(self) -> ControllerInfo:
+        """Who answered."""
+        ...
+
+    def state(self) -> GantryState:
+        """Ask the controller where it is. Raises GantryLost, GantryTimeout, GantryAlarm."""
+        ...
+
+    def home(self) -> GantryState:
+        """Run the homing cycle and wait for its end. Raises GantryAlarm, GantryLost, GantryTimeout."""
+        ...
+
+    def move_to(self, position: Sequence[float] | FloatArray, speed: float) -> GantryState:
+        """Move in a straight line to machine axis positions and return when truly arrived and at rest.
+
+        Args:
+            position: Machine axis positions, length A, m or rad.
+            speed: Speed along the path, m/s (rad/s for a purely rotary move).
+
+        Returns:
+            The state at rest, position equal to the target within the controller's resolution.
+
+        Raises:
+            EnvelopeError: Target or path outside the envelope; nothing was sent.
+            GantryError: Not homed, refused, alarm, lost, or no answer.
+        """
+        ...
+
+    def jog(self, offset: Sequence[float] | FloatArray, speed: float) -> GantryState:
+        """Move by an offset; the same rules as ``move_to``."""
+        ...
+
+    def stop(self) -> GantryState:
+        """Stop the motion now, controlled, so that the position stays known. Never raises for being at rest."""
+        ...
+
+    def close(self) -> None:
+        """Stop any motion and release the port. Safe to call twice."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Enter a context that closes the gantry."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        ...

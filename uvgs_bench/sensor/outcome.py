@@ -1,0 +1,64 @@
+"""What the sensor answers: a pose with its doubt, or the reason why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from uvgs_bench.geometry import FloatArray, Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """One solved pose.
+
+    Args:
+        camera_from_beacon: The pose.
+        covariance: Covariance of the left tangent vector (omega, v) in camera axes, shape (6, 6), rad and m.
+        t_ns: Instant of the capture, ns.
+        beacon: Name of the beacon.
+        led_px: Observed centroids in the order of the beacon's LEDs, shape (n, 2), raw (distorted) px; NaN if unseen.
+        residual_px: Observed minus projected, same shape, px.
+        rms_px: Root mean square of the residual components, per axis, px.
+        margin: How much better than the runner-up, ratio of costs, >= 1; inf when there is no runner-up.
+        blob_count: Number of candidate blobs after selection.
+        runner_up: The best truly different pose, or None.
+        stage_s: Duration of each stage, s, by stage name.
+    """
+
+    camera_from_beacon: Pose
+    covariance: FloatArray
+    t_ns: int
+    beacon: str
+    led_px: FloatArray
+    residual_px: FloatArray
+    rms_px: float
+    margin: float
+    blob_count: int
+    runner_up: Pose | None = None
+    stage_s: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Miss:
+    """No pose, and why.
+
+    Args:
+        stage: Where it stopped: ``preprocess``, ``blobs``, ``selection``, ``correspondence``, ``solve``, ``validate``.
+        reason: A short, stable word for tables, for example ``too_few_blobs``.
+        detail: One line for people, with the numbers.
+        t_ns: Instant of the capture, ns.
+        beacon: Name of the beacon.
+        blob_count: Number of candidate blobs when it stopped.
+        stage_s: Duration of each stage, s, by stage name.
+    """
+
+    stage: str
+    reason: str
+    detail: str
+    t_ns: int
+    beacon: str
+    blob_count: int = 0
+    stage_s: dict[str, float] = field(default_factory=dict)
+
+
+Outcome = PoseEstimate | Miss
