@@ -1,0 +1,113 @@
+"""Errors of every capture against the registered gantry, in camera axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.accuracy.observations import Role
+from uvgs_bench.geometry import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorTable:
+    """N captures as a struct of arrays, misses included. Errors of a miss are NaN; predictions never are.
+
+    Args:
+        station: Station of each capture, shape (N,).
+        role: Role of each capture's station, length N.
+        t_ns: Instants, shape (N,), ns.
+        axis_position: Reported machine positions, shape (N, A), m or rad.
+        is_solved: Whether there is a pose, shape (N,).
+        reason: ``stage/reason`` of each miss, empty for a pose, length N.
+        predicted_R: Rotation of the predicted camera_from_beacon, shape (N, 3, 3).
+        predicted_t_m: Translation of the predicted camera_from_beacon, shape (N, 3), m.
+        translation_error_m: ``t_observed - t_predicted`` in camera axes, shape (N, 3), m: lateral x, y, depth z.
+        rotation_error_rad: ``Log(R_observed R_predicted^T)`` in camera axes, shape (N, 3), rad: tilt x, tilt y, roll z.
+        range_m: Predicted distance from the optical centre to the beacon origin, shape (N,), m.
+        field_angle_rad: Predicted angle between the optical axis and the line to the beacon, shape (N,), rad.
+        view_angle_rad: Predicted angle between the beacon's z axis and the line of sight, shape (N,), rad.
+        nees: Squared error over the predicted covariance (sensor, gantry and registration), shape (N,), 6 on average.
+        registration_factor: Effect of the registration's own doubt on (rotation error, translation error), shape
+            (N, 6, k), rad and m: its covariance is ``F F^T``.
+    """
+
+    station: NDArray[np.int64]
+    role: tuple[Role, ...]
+    t_ns: NDArray[np.int64]
+    axis_position: FloatArray
+    is_solved: NDArray[np.bool_]
+    reason: tuple[str, ...]
+    predicted_R: FloatArray
+    predicted_t_m: FloatArray
+    translation_error_m: FloatArray
+    rotation_error_rad: FloatArray
+    range_m: FloatArray
+    field_angle_rad: FloatArray
+    view_angle_rad: FloatArray
+    nees: FloatArray
+    registration_factor: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of captures, misses included."""
+        return len(self.station)
+
+    @property
+    def position_error_m(self) -> FloatArray:
+        """Length of the translation error, shape (N,), m."""
+        length: FloatArray = np.linalg.norm(self.translation_error_m, axis=1)
+        return length
+
+    @property
+    def lateral_error_m(self) -> FloatArray:
+        """Length of the error across the optical axis, shape (N,), m."""
+        length: FloatArray = np.linalg.norm(self.translation_error_m[:, :2], axis=1)
+        return length
+
+    @property
+    def depth_error_m(self) -> FloatArray:
+        """Signed error along the optical axis, shape (N,), m; positive = seen too far."""
+        depth: FloatArray = self.translation_error_m[:, 2]
+        return depth
+
+    @property
+    def attitude_error_rad(self) -> FloatArray:
+        """Angle of the rotation error, shape (N,), rad."""
+        angle: FloatArray = np.linalg.norm(self.rotation_error_rad, axis=1)
+        return angle
+
+    @property
+    def registration_sigma_m(self) -> FloatArray:
+        """Registration's share of the position error of each capture (root of the trace), shape (N,), m."""
+        share: FloatArray = np.sqrt((self.registration_factor[:, 3:] ** 2).sum(axis=(1, 2)))
+        return share
+
+    @property
+    def registration_sigma_rad(self) -> FloatArray:
+        """Registration's share of the attitude error of each capture (root of the trace), shape (N,), rad."""
+        share: FloatArray = np.sqrt((self.registration_factor[:, :3] ** 2).sum(axis=(1, 2)))
+        return share
+
+    def select(self, mask: NDArray[np.bool_]) -> ErrorTable:
+        """The captures where the mask is True, in the same order."""
+        chosen = np.flatnonzero(mask)
+        return ErrorTable(
+            station=self.station[chosen],
+            role=tuple(self.role[i] for i in chosen),
+            t_ns=self.t_ns[chosen],
+            axis_position=self.axis_position[chosen],
+            is_solved=self.is_solved[chosen],
+            reason=tuple(self.reason[i] for i in chosen),
+            predicted_R=self.predicted_R[chosen],
+            predicted_t_m=self.predicted_t_m[chosen],
+            translation_error_m=self.translation_error_m[chosen],
+            rotation_error_rad=self.rotation_error_rad[chosen],
+            range_m=self.range_m[chosen],
+            field_angle_rad=self.field_angle_rad[chosen],
+            view_angle_rad=self.view_angle_rad[chosen],
+            nees=self.nees[chosen],
+            registration_factor=self.registration_factor[chosen],
+        )
