@@ -1,5 +1,9 @@
 """Lenses, boards, calibration.
 
-Here: projection models, calibration boards, calibration and its doubt. In: pixels and board points. Out: ``Calibration``.
-Plug points: ``LENSES`` (lens.py), ``BOARDS`` (boards.py).
+Here: projection models, calibration boards, calibration and its doubt. In: pixels and board points. Out:
+``Calibration``. Plug points: ``LENSES`` (lens.py), ``BOARDS`` (boards.py).
 """
+
+from uvgs_bench.camera.lens import LENSES, Lens
+
+__all__ = ["LENSES", "Lens"]
