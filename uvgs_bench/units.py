@@ -1,4 +1,4 @@
-"""The only home of conversion factors. Inside the program everything is SI; files and the terminal use mm and degrees."""
+"""The only home of conversion factors: SI inside the program, millimetres and degrees in files and on the terminal."""
 
 from __future__ import annotations
 

@@ -190,7 +190,8 @@ def so3_left_jacobian_inverse(w: FloatArray) -> FloatArray:
         # (1 - (a/2) cot(a/2)) / a^2; the cotangent stays finite up to and beyond pi.
         c = (1.0 - half * cos(half) / sin(half)) / a2
     W = hat(w)
-    return np.eye(3) - 0.5 * W + c * (W @ W)
+    out: FloatArray = np.eye(3) - 0.5 * W + c * (W @ W)
+    return out
 
 
 @compiled
@@ -264,7 +265,8 @@ def _q_block(w: FloatArray, v: FloatArray) -> FloatArray:
     VW = V @ W
     WVW = WV @ W
     WW = W @ W
-    return 0.5 * V + c1 * (WV + VW + WVW) + c2 * (WW @ V + V @ WW - 3.0 * WVW) + c3 * (WVW @ W + W @ WVW)
+    out: FloatArray = 0.5 * V + c1 * (WV + VW + WVW) + c2 * (WW @ V + V @ WW - 3.0 * WVW) + c3 * (WVW @ W + W @ WVW)
+    return out
 
 
 @compiled
@@ -400,5 +402,3 @@ def angle_between(a: FloatArray, b: FloatArray) -> float:
         Angle, rad.
     """
     return atan2(float(np.linalg.norm(np.cross(a, b))), float(np.dot(a, b)))
-
-

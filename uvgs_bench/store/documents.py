@@ -96,7 +96,9 @@ def parse_document(data: object, kind: type[Document], path: str, prefix: str = 
 
 def _first_complaint(error: ValidationError, path: str, prefix: str) -> tuple[str, str, str]:
     complaint = error.errors()[0]
-    key = ".".join([prefix, *(str(part) for part in complaint["loc"])] if prefix else [str(p) for p in complaint["loc"]])
+    key = ".".join(
+        [prefix, *(str(part) for part in complaint["loc"])] if prefix else [str(p) for p in complaint["loc"]]
+    )
     if complaint["type"] == "missing":
         return "this key is required", path, key
     message = complaint["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
