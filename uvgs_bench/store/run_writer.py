@@ -1,0 +1,279 @@
+"""Writing a run so that it can be read at any instant and closes properly even on a full disk."""
+
+from __future__ import annotations
+
+import errno
+import heapq
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from io import FileIO
+from pathlib import Path
+from typing import Literal, Self, cast, get_args
+
+from uvgs_bench.errors import RunError, UvgsError
+from uvgs_bench.sensor.capture import ImageArray
+from uvgs_bench.sensor.outcome import PoseEstimate
+from uvgs_bench.store.documents import write_atomically
+from uvgs_bench.store.run_format import line_from_sample, table_from_end, table_from_seam, tables_from_manifest
+from uvgs_bench.store.run_types import Ending, Run, RunManifest, Sample, Seam
+from uvgs_bench.store.toml_text import toml_text
+
+MANIFEST, JOURNAL, WIRE_LOG, CAPTURES, SETUP = "run.toml", "samples.jsonl", "gantry.log", "captures", "setup"
+SETUP_CALIBRATION, SETUP_BEACON, SETUP_BENCH = "calibration.yaml", "beacon.toml", "bench.toml"
+SETUP_PROCEDURE, SETUP_SENSOR = "procedure.toml", "sensor.toml"
+Keep = Literal["all", "worst", "none"]
+
+# Freed before the run is closed, so that how it ended can still be written when the disk is full.
+_RESERVE, _RESERVE_BYTES = ".reserve", 65536
+_WORST_COUNT = 20
+
+
+def utc_now() -> str:
+    """Wall-clock time, ISO 8601, UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+class RunWriter:
+    """The one writer of a run folder. Made by ``create`` or ``reopen``.
+
+    Every failure to write is a ``RunError``; the wire log never raises, since it is called in the middle of a motion:
+    its failure is raised by the next ``check`` or ``append``.
+    """
+
+    def __init__(self, path: Path, manifest: RunManifest, seams: tuple[Seam, ...], keep: Keep) -> None:
+        self.path = path
+        self.manifest = manifest
+        self.keep = keep
+        self.sample_count = 0
+        self.clock_offset_ns = 0
+        self._seams = seams
+        self._attempt: dict[int, int] = {}
+        self._worst: list[tuple[float, int, str]] = []
+        self._failure: RunError | None = None
+        self._is_closed = False
+        self._journal: FileIO = self._opened(JOURNAL)
+        self._wire: FileIO = self._opened(WIRE_LOG)
+
+    @classmethod
+    def create(cls, path: Path, manifest: RunManifest, setup: Mapping[str, bytes]) -> Self:
+        """Begin a run in a new folder.
+
+        Args:
+            path: The run folder; must not exist.
+            manifest: Everything known before the first move.
+            setup: Content of each file of ``setup/`` by its name.
+
+        Returns:
+            The open writer.
+
+        Raises:
+            RunError: The folder exists, or cannot be written.
+        """
+        keep = _checked_keep(manifest.keep, path)
+        try:
+            path.mkdir(parents=True)
+            (path / CAPTURES).mkdir()
+            for name, content in setup.items():
+                write_atomically(path / SETUP / name, content)
+            (path / _RESERVE).write_bytes(b"\0" * _RESERVE_BYTES)
+        except FileExistsError:
+            raise RunError("exists already, a run is never overwritten", str(path)) from None
+        except OSError as error:
+            raise RunError(f"cannot be written: {error.strerror or error}", str(path)) from None
+        except UvgsError as error:
+            raise RunError(str(error)) from None
+        writer = cls(path, manifest, (), keep)
+        writer._write_manifest(None)
+        return writer
+
+    @classmethod
+    def reopen(cls, run: Run) -> Self:
+        """Take up a run that ended early; a torn last line is cut off, its end is struck out.
+
+        Args:
+            run: The run as read.
+
+        Returns:
+            The open writer; samples of a half-done station that are appended now supersede the earlier ones.
+
+        Raises:
+            RunError: The run is complete, or cannot be written.
+        """
+        if run.is_complete:
+            raise RunError("is complete, there is nothing to resume", str(run.path))
+        _cut_torn_line(run.path / JOURNAL)
+        writer = cls(run.path, run.manifest, run.seams, _checked_keep(run.manifest.keep, run.path))
+        committed = run.committed_stations()
+        for sample in run.samples:
+            writer._attempt[sample.station] = sample.attempt + (sample.station not in committed)
+            writer.sample_count = max(writer.sample_count, sample.index + 1)
+            if sample.capture_file:
+                writer._rank(sample)
+        try:
+            (run.path / CAPTURES).mkdir(exist_ok=True)
+            (run.path / _RESERVE).write_bytes(b"\0" * _RESERVE_BYTES)
+        except OSError as error:
+            raise writer._failed(error) from None
+        return writer
+
+    def begin_again(self, seam: Seam) -> None:
+        """Record where the run is taken up; from now on its end is open again.
+
+        Args:
+            seam: The seam.
+
+        Raises:
+            RunError: It cannot be written.
+        """
+        self._seams = (*self._seams, seam)
+        self.clock_offset_ns = seam.clock_offset_ns
+        self._write_manifest(None)
+
+    def attempt_of(self, station: int) -> int:
+        """Number of the current try at a station."""
+        return self._attempt.get(station, 0)
+
+    def append(self, sample: Sample, image: ImageArray | None = None) -> Sample:
+        """Put a sample on disk: first its picture if it is kept, then its line.
+
+        Args:
+            sample: The sample; its ``capture_file`` is set here.
+            image: Its picture, or None.
+
+        Returns:
+            The sample as written.
+
+        Raises:
+            RunError: The disk is full or the folder cannot be written.
+        """
+        self.check()
+        try:
+            if image is not None and self.keep != "none":
+                sample = replace(sample, capture_file=self._keep_picture(sample, image))
+            _write_whole(self._journal, line_from_sample(sample).encode("utf-8") + b"\n")
+            os.fsync(self._journal.fileno())
+        except OSError as error:
+            raise self._failed(error) from None
+        self.sample_count = max(self.sample_count, sample.index + 1)
+        if sample.capture_file and self.keep == "worst":
+            self._rank(sample)
+        return sample
+
+    def wire(self, t_ns: int, direction: str, text: str) -> None:
+        """Log one line of the gantry's wire; never raises.
+
+        Args:
+            t_ns: Bench time, ns.
+            direction: Line out, byte out, line in, or remark.
+            text: The line; control characters are written as escapes.
+        """
+        if self._failure is not None or self._is_closed:
+            return
+        shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+        try:
+            line = f"{t_ns + self.clock_offset_ns} {direction} {shown}\n"
+            _write_whole(self._wire, line.encode("utf-8", "replace"))
+        except OSError as error:
+            self._failed(error)
+
+    def check(self) -> None:
+        """Raise what went wrong while writing, if anything did.
+
+        Raises:
+            RunError: An earlier write failed.
+        """
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self, ended: Ending, reason: str = "") -> None:
+        """End the run: say how in ``run.toml`` and close the files. Safe to call twice; the first call counts.
+
+        Args:
+            ended: How it ended.
+            reason: Why, in one line.
+
+        Raises:
+            RunError: Even the reserved space did not suffice; the run then reads as one that was never closed.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        (self.path / _RESERVE).unlink(missing_ok=True)
+        for stream in (self._journal, self._wire):
+            try:
+                stream.close()
+            except OSError as error:
+                self._failed(error)
+        self._write_manifest(table_from_end(ended, reason, utc_now(), self.sample_count))
+
+    def _opened(self, name: str) -> FileIO:
+        try:
+            # Unbuffered: nothing is left in this program that a crash could lose or a later flush could fail on.
+            return FileIO(self.path / name, "ab")
+        except OSError as error:
+            raise RunError(f"cannot be written: {error.strerror or error}", str(self.path / name)) from None
+
+    def _failed(self, error: OSError) -> RunError:
+        what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "cannot be written"
+        if self._failure is None:
+            self._failure = RunError(f"{what}: {error.strerror or error}", str(self.path))
+        return self._failure
+
+    def _write_manifest(self, end: dict[str, object] | None) -> None:
+        tables = tables_from_manifest(self.manifest)
+        if self._seams:
+            tables["seams"] = [table_from_seam(seam) for seam in self._seams]
+        if end is not None:
+            tables["end"] = end
+        try:
+            write_atomically(self.path / MANIFEST, toml_text(tables))
+        except UvgsError as error:
+            raise RunError(str(error)) from None
+
+    def _keep_picture(self, sample: Sample, image: ImageArray) -> str:
+        import cv2
+
+        # Level 1 keeps every bit and costs a third of the time of the default.
+        ok, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        assert ok
+        name = f"{CAPTURES}/{sample.index:06d}.png"
+        with FileIO(self.path / name, "wb") as stream:
+            _write_whole(stream, encoded.tobytes())
+            os.fsync(stream.fileno())
+        return name
+
+    def _rank(self, sample: Sample) -> None:
+        """Keep the pictures of all misses and of the worst poses only."""
+        if self.keep != "worst" or not isinstance(sample.outcome, PoseEstimate):
+            return
+        heapq.heappush(self._worst, (sample.outcome.rms_px, -sample.index, sample.capture_file))
+        if len(self._worst) > _WORST_COUNT:
+            _, _, name = heapq.heappop(self._worst)
+            (self.path / name).unlink(missing_ok=True)
+
+
+def _write_whole(stream: FileIO, content: bytes) -> None:
+    """Write everything; a nearly full disk takes a part without complaint and complains about the rest."""
+    view = memoryview(content)
+    while view:
+        view = view[stream.write(view) :]
+
+
+def _checked_keep(keep: str, path: Path) -> Keep:
+    if keep not in get_args(Keep):
+        raise RunError(f"keep is {keep!r}, expected one of {', '.join(get_args(Keep))}", str(path))
+    return cast(Keep, keep)
+
+
+def _cut_torn_line(journal: Path) -> None:
+    try:
+        content = journal.read_bytes()
+        whole = content.rfind(b"\n") + 1
+        if whole < len(content):
+            os.truncate(journal, whole)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise RunError(f"cannot be written: {error.strerror or error}", str(journal)) from None
