@@ -4,6 +4,7 @@ Here: projection models, calibration boards, calibration and its doubt. In: pixe
 ``Calibration``. Plug points: ``LENSES`` (lens.py), ``BOARDS`` (boards.py).
 """
 
+from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.lens import LENSES, Lens
 
-__all__ = ["LENSES", "Lens"]
+__all__ = ["LENSES", "Calibration", "Lens"]

@@ -1,0 +1,87 @@
+"""A fitted lens with its doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uvgs_bench.camera.lens import Lens
+from uvgs_bench.errors import CalibrationError
+from uvgs_bench.geometry import FloatArray, read_only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """A fitted lens with its doubt.
+
+    Args:
+        lens: The projection model with its numbers.
+        camera_name: Name of the camera, for people.
+        covariance: Covariance of ``lens.parameters``, shape (P, P), in their units; None when unknown.
+        rms_px: Root mean square of the residual lengths, sqrt(mean(dx^2 + dy^2)), px; None when unknown.
+        held_out_rms_px: The same over views the lens was not fitted to, px; None when unknown.
+        view_count: Number of board views used.
+        corner_count: Number of corners used.
+        rejected_count: Number of corners set aside as outliers.
+        notes: Where it comes from: board, source, hashes, versions, ``created_utc``.
+
+    Raises:
+        CalibrationError: The covariance has another shape, is not finite, not symmetric, or has a negative variance.
+    """
+
+    lens: Lens
+    camera_name: str = ""
+    covariance: FloatArray | None = None
+    rms_px: float | None = None
+    held_out_rms_px: float | None = None
+    view_count: int = 0
+    corner_count: int = 0
+    rejected_count: int = 0
+    notes: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.covariance is None:
+            return
+        covariance = read_only(self.covariance)
+        size = self.lens.parameters.size
+        if covariance.shape != (size, size):
+            raise CalibrationError(
+                f"the covariance of a {self.lens.model} lens has shape ({size}, {size}), got {covariance.shape}"
+            )
+        deviation = np.sqrt(np.abs(np.diag(covariance)))
+        if (
+            not np.isfinite(covariance).all()
+            or (np.diag(covariance) < 0.0).any()
+            or (np.abs(covariance - covariance.T) > 1e-9 * np.outer(deviation, deviation) + 1e-300).any()
+        ):
+            raise CalibrationError("the covariance must be finite and symmetric, with variances that are not negative")
+        object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def sigmas(self) -> FloatArray | None:
+        """Standard deviation of each parameter, shape (P,), or None when unknown."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
+
+    @property
+    def rms_per_axis_px(self) -> float | None:
+        """Root mean square of the residual components, sqrt(mean of dx^2 and dy^2 together), px."""
+        return None if self.rms_px is None else self.rms_px / float(np.sqrt(2.0))
+
+    def check_size(self, width_px: int, height_px: int, source: str = "picture") -> None:
+        """Refuse pictures of another size than the lens was fitted to.
+
+        Args:
+            width_px: Picture width, px.
+            height_px: Picture height, px.
+            source: What the picture is, for the message.
+
+        Raises:
+            CalibrationError: The sizes differ.
+        """
+        lens = self.lens
+        if (width_px, height_px) != (lens.width_px, lens.height_px):
+            name = f"calibration '{self.camera_name}'" if self.camera_name else "the calibration"
+            raise CalibrationError(
+                f"{source} is {width_px}x{height_px} px but {name} is for {lens.width_px}x{lens.height_px} px"
+            )
