@@ -91,3 +91,16 @@ def s_from_ms(value_ms: Number) -> Number:
 def us_from_s(value_s: float) -> float:
     """Microseconds from seconds."""
     return value_s * MM_PER_M * MM_PER_M
+
+
+MM_PER_INCH = 25.4
+
+
+def mm_from_inch(value_inch: Number) -> Number:
+    """Millimetres from inches."""
+    return value_inch * MM_PER_INCH
+
+
+def radps_from_deg_min(value_deg_min: Number) -> Number:
+    """Radians per second from degrees per minute (feed of a rotary axis)."""
+    return value_deg_min * (RAD_PER_DEG / S_PER_MIN)

@@ -1,0 +1,46 @@
+"""Gantry drivers by the scheme of their spec: ``grbl:/dev/ttyACM0``, ``grbl:sim://``, ``grbl:spy:///dev/ttyACM0``."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from importlib import import_module
+from typing import cast
+
+from uvgs_bench.devices.clock import Clock
+from uvgs_bench.devices.gantry.axes import Envelope
+from uvgs_bench.devices.gantry.gantry import Gantry, WireLog
+from uvgs_bench.errors import ConfigError
+
+GANTRIES = {"grbl": "uvgs_bench.devices.gantry.grbl:GrblGantry"}
+"""Scheme to ``module:Class``; the class has ``open(port, envelope, *, clock, log, homing_timeout_s)``."""
+
+
+def open_gantry(
+    spec: str, envelope: Envelope, *, clock: Clock, log: WireLog, homing_timeout_s: float = 120.0
+) -> Gantry:
+    """Open a gantry. A controller resets when its port is opened, so it is unhomed afterwards.
+
+    Args:
+        spec: ``scheme:port``.
+        envelope: What may be reached.
+        clock: Bench time.
+        log: Called for everything on the wire.
+        homing_timeout_s: Longest time a homing cycle may take, s.
+
+    Returns:
+        The open gantry, at rest.
+
+    Raises:
+        ConfigError: The scheme is unknown or the port is missing.
+        GantryError: The port cannot be opened or what answers is no usable controller.
+        GantryTimeout: Nothing answers.
+    """
+    scheme, _, address = spec.partition(":")
+    if scheme not in GANTRIES or not address:
+        near = get_close_matches(scheme, GANTRIES, n=1)
+        hint = f"; did you mean {near[0]}:?" if near and near[0] != scheme else ""
+        known = ", ".join(f"{name}:PORT" for name in GANTRIES)
+        raise ConfigError(f"gantry spec {spec!r} is not one of {known}{hint}")
+    module, _, name = GANTRIES[scheme].partition(":")
+    driver = getattr(import_module(module), name)
+    return cast(Gantry, driver.open(address, envelope, clock=clock, log=log, homing_timeout_s=homing_timeout_s))
