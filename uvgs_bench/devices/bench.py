@@ -1,0 +1,189 @@
+"""The bench as a document: which camera, beacon and gantry stand together, and what is true on a simulated one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uvgs_bench.accuracy.observations import Mount
+from uvgs_bench.devices.gantry.axes import Axis, AxisKind, Envelope
+from uvgs_bench.devices.sim.truth import SimulatedTruth
+from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.units import m_from_mm, mps_from_mm_min, rad_from_deg, radps_from_deg_min
+
+_UNIT_OF_KIND: dict[AxisKind, str] = {"linear": "mm", "rotary": "deg"}
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFile:
+    """One ``[[gantry.axes]]`` table. A linear axis has the ``_mm`` keys, a rotary one the ``_deg`` keys.
+
+    Args:
+        name: The controller's letter.
+        kind: ``linear`` or ``rotary``.
+        direction: Direction of travel or axis of rotation in gantry axes.
+        min_mm: Smallest machine position, mm.
+        max_mm: Largest machine position, mm.
+        max_feed_mm_min: Largest feed, mm/min.
+        acceleration_mm_s2: Acceleration, mm/s^2.
+        backlash_mm: Known reversal, mm.
+        min_deg: Smallest machine position, deg.
+        max_deg: Largest machine position, deg.
+        max_feed_deg_min: Largest feed, deg/min.
+        acceleration_deg_s2: Acceleration, deg/s^2.
+        backlash_deg: Known reversal, deg.
+    """
+
+    name: str
+    direction: tuple[float, float, float]
+    kind: AxisKind = "linear"
+    min_mm: float | None = None
+    max_mm: float | None = None
+    max_feed_mm_min: float | None = None
+    acceleration_mm_s2: float | None = None
+    backlash_mm: float | None = None
+    min_deg: float | None = None
+    max_deg: float | None = None
+    max_feed_deg_min: float | None = None
+    acceleration_deg_s2: float | None = None
+    backlash_deg: float | None = None
+
+    def axis(self) -> Axis:
+        """The axis in m or rad.
+
+        Raises:
+            ValueError: A key is missing, or belongs to the other kind, or its value is impossible.
+        """
+        unit = _UNIT_OF_KIND[self.kind]
+        stranger = "deg" if unit == "mm" else "mm"
+        for key in ("min", "max", "max_feed", "acceleration", "backlash"):
+            if getattr(self, _unit_key(key, stranger)) is not None:
+                raise ValueError(f"axis {self.name} is {self.kind}: {_unit_key(key, stranger)} has the wrong unit")
+
+        def value(key: str) -> float:
+            given: float | None = getattr(self, _unit_key(key, unit))
+            if given is None:
+                raise ValueError(f"axis {self.name} needs {_unit_key(key, unit)}")
+            return given
+
+        backlash: float = getattr(self, _unit_key("backlash", unit)) or 0.0
+        length, speed = (m_from_mm, mps_from_mm_min) if unit == "mm" else (rad_from_deg, radps_from_deg_min)
+        return Axis(
+            name=self.name,
+            kind=self.kind,
+            direction=np.array(self.direction),
+            lower=length(value("min")),
+            upper=length(value("max")),
+            max_speed=speed(value("max_feed")),
+            acceleration=length(value("acceleration")),
+            backlash=length(backlash),
+        )
+
+
+def _unit_key(key: str, unit: str) -> str:
+    return f"{key}_{unit}" + {"max_feed": "_min", "acceleration": "_s2"}.get(key, "")
+
+
+@dataclass(frozen=True, slots=True)
+class GantryFile:
+    """The ``[gantry]`` table.
+
+    Args:
+        axes: The axes in the controller's order.
+        port: The spec of the gantry: ``grbl:/dev/ttyACM0``, or ``grbl:sim://`` for the simulated one.
+        homing_timeout_s: How long homing may take, s.
+        keep_out: Boxes no move may touch: for each, an interval by axis as ``X_mm = [lower, upper]`` or
+            ``A_deg = [lower, upper]``; an axis not named is blocked over its whole travel.
+    """
+
+    axes: tuple[AxisFile, ...]
+    port: str = "grbl:sim://"
+    homing_timeout_s: float = 120.0
+    keep_out: tuple[dict[str, tuple[float, float]], ...] = ()
+
+    def envelope(self) -> Envelope:
+        """Axes and keep-out boxes in m and rad.
+
+        Raises:
+            ValueError: No axis, two of one name, or a keep-out box that names no axis or is upside down.
+        """
+        axes = tuple(axis.axis() for axis in self.axes)
+        names = [axis.name for axis in axes]
+        if not names or len(set(names)) != len(names):
+            raise ValueError(f"a gantry needs axes with different names, got {', '.join(names) or 'none'}")
+        return Envelope(axes, tuple(_box(axes, intervals) for intervals in self.keep_out))
+
+
+def _box(axes: tuple[Axis, ...], intervals: dict[str, tuple[float, float]]) -> FloatArray:
+    keys = {f"{axis.name}_{_UNIT_OF_KIND[axis.kind]}": i for i, axis in enumerate(axes)}
+    box = np.array([[axis.lower for axis in axes], [axis.upper for axis in axes]])
+    for key, (lower, upper) in intervals.items():
+        if key not in keys:
+            raise ValueError(f"keep_out: unknown key '{key}', expected one of: {', '.join(keys)}")
+        if not lower < upper:
+            raise ValueError(f"keep_out: {key} must be [lower, upper], got [{lower}, {upper}]")
+        convert = m_from_mm if key.endswith("_mm") else rad_from_deg
+        box[:, keys[key]] = convert(lower), convert(upper)
+    return read_only(box)
+
+
+@dataclass(frozen=True, slots=True)
+class BenchFile:
+    """The whole of ``bench.toml``; paths are relative to it.
+
+    Args:
+        name: Name of the bench.
+        camera: Calibration file of the camera.
+        beacon: Beacon file.
+        gantry: The gantry.
+        camera_source: Spec of the camera: ``uvc:0``, or ``sim:`` for the simulated one.
+        mount: Which part rides the carriage.
+        sensor: File with settings of the sensor; the defaults when absent.
+        simulated: What is true on the simulated bench.
+    """
+
+    name: str
+    camera: str
+    beacon: str
+    gantry: GantryFile
+    camera_source: str = "sim:"
+    mount: Mount = "beacon_on_carriage"
+    sensor: str | None = None
+    simulated: SimulatedTruth | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """A bench as the program uses it.
+
+    Args:
+        name: Name of the bench.
+        camera_file: Path of the camera's calibration file.
+        beacon_file: Path of the beacon file.
+        camera_source: Spec of the camera.
+        gantry_port: Spec of the gantry.
+        envelope: Axes and what they may reach, m and rad.
+        mount: Which part rides the carriage.
+        homing_timeout_s: How long homing may take, s.
+        sensor_file: Path of the sensor's settings, or None for the defaults.
+        simulated: The truth of the simulated bench, or None when there is none.
+        path: The file it was read from, or empty.
+    """
+
+    name: str
+    camera_file: str
+    beacon_file: str
+    camera_source: str
+    gantry_port: str
+    envelope: Envelope
+    mount: Mount = "beacon_on_carriage"
+    homing_timeout_s: float = 120.0
+    sensor_file: str | None = None
+    simulated: SimulatedTruth | None = field(default=None)
+    path: str = ""
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether camera and gantry are both the simulated ones of this file."""
+        return self.gantry_port.startswith("grbl:sim:") and self.camera_source.startswith("sim:")

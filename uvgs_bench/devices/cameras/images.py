@@ -1,0 +1,142 @@
+"""A folder of pictures as a camera."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uvgs_bench.devices.cameras.base import ClosingSource
+from uvgs_bench.devices.clock import Clock
+from uvgs_bench.errors import CaptureError
+from uvgs_bench.sensor.capture import Capture
+
+if TYPE_CHECKING:
+    from uvgs_bench.devices.cameras.spec import CameraSpec
+    from uvgs_bench.sensor.capture import ImageArray
+
+_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"})
+
+STEP_NS = 100_000_000
+"""Pictures of a folder carry no instant; they are stamped this far apart in the order of their names."""
+
+
+class ImageFolder(ClosingSource):
+    """Pictures of a folder in natural order (``img2`` before ``img10``), mono or BGR, 8 or 16 bit, values untouched.
+
+    Args:
+        spec: The spec string, for messages.
+        files: The pictures in order.
+    """
+
+    def __init__(self, spec: str, files: list[Path]) -> None:
+        super().__init__(spec, is_live=False, length=len(files))
+        self._files = files
+        self._next = 0
+        self._first: tuple[str, int, int] | None = None
+
+    @classmethod
+    def open(cls, spec: CameraSpec, _clock: Clock) -> ImageFolder:
+        """Open ``images:FOLDER`` with the option ``glob``.
+
+        Raises:
+            CaptureError: The folder is missing or no picture in it matches.
+            ConfigError: An option is unknown.
+        """
+        spec.check_options(("glob",))
+        folder = Path(spec.target)
+        if not folder.is_dir():
+            problem = "is no folder" if folder.exists() else "no such folder"
+            raise CaptureError(f"{problem}, expected a folder of pictures", spec.target or spec.text)
+        pattern = spec.options.get("glob", "*")
+        files = sorted(
+            (path for path in folder.glob(pattern) if path.suffix.lower() in _SUFFIXES and path.is_file()),
+            key=lambda path: natural_key(path.name),
+        )
+        if not files:
+            wanted = f"no picture matches '{pattern}'" if "glob" in spec.options else "holds no pictures"
+            raise CaptureError(f"{wanted}, expected files ending in {' '.join(sorted(_SUFFIXES))}", spec.target)
+        return cls(spec.text, files)
+
+    def grab(self) -> Capture | None:
+        """The next picture, or None after the last.
+
+        Raises:
+            CaptureError: It cannot be read, is truncated, or differs in size from the first.
+        """
+        if self._next >= len(self._files):
+            return None
+        path, index = self._files[self._next], self._next
+        image = read_image(path)
+        height, width = image.shape[:2]
+        if self._first is None:
+            self._first = (path.name, width, height)
+        first_name, first_width, first_height = self._first
+        if (width, height) != (first_width, first_height):
+            raise CaptureError(
+                f"is {width}x{height} px, but {first_name} is {first_width}x{first_height} px; "
+                "all pictures must have one size",
+                str(path),
+            )
+        self._next += 1
+        return Capture(image, index * STEP_NS, path.name, index)
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key that counts: runs of digits compare as numbers."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in re.split(r"(\d+)", name)]
+
+
+def read_image(path: Path) -> ImageArray:
+    """Read a picture as it is: mono (H, W) or BGR (H, W, 3), uint8 or uint16; transparency is dropped.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The pixels.
+
+    Raises:
+        CaptureError: It is missing, unreadable, truncated, or of another depth.
+    """
+    import cv2
+
+    try:
+        payload = path.read_bytes()
+    except OSError as error:
+        raise CaptureError(f"cannot be read: {error.strerror or error}", str(path)) from None
+    if truncation := _truncation(payload):
+        raise CaptureError(f"is truncated: {truncation}", str(path))
+    try:
+        image = cv2.imdecode(np.frombuffer(payload, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if payload else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise CaptureError("is no readable picture" if payload else "is an empty file", str(path))
+    if image.dtype not in (np.uint8, np.uint16):
+        raise CaptureError(f"has pixels of type {image.dtype}, expected 8 or 16 bit", str(path))
+    if image.ndim == 3:
+        channels = image.shape[2]
+        image = image[:, :, 0] if channels in (1, 2) else image[:, :, :3]
+    pixels: ImageArray = np.ascontiguousarray(image)
+    return pixels
+
+
+def _truncation(payload: bytes) -> str:
+    """Why a file ends too early, or empty. Decoders fill the missing part with grey without a word.
+
+    In JPEG data no marker can occur by chance, so the last end marker must follow the last start of a scan.
+    """
+    if payload.startswith(b"\xff\xd8"):
+        if payload.rfind(b"\xff\xd9") < payload.rfind(b"\xff\xda") or b"\xff\xda" not in payload:
+            return "the JPEG end marker is missing"
+    elif payload.startswith(b"\x89PNG"):
+        if b"IEND" not in payload[-64:]:
+            return "the PNG end chunk is missing"
+    elif payload.startswith(b"BM") and len(payload) >= 6:
+        said = int.from_bytes(payload[2:6], "little")
+        if len(payload) < said:
+            return f"{len(payload)} bytes of {said}"
+    return ""

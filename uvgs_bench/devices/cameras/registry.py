@@ -1,0 +1,44 @@
+"""The table of camera sources and the one way to open them.
+
+To add a source see ``source.py``. Its class has ``open(spec, clock)`` and is imported when its scheme is asked for.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from uvgs_bench.devices.cameras.source import CameraSource
+from uvgs_bench.devices.cameras.spec import CameraSpec, did_you_mean
+from uvgs_bench.devices.clock import Clock, RealClock
+from uvgs_bench.errors import ConfigError
+
+CAMERAS: dict[str, str] = {
+    "images": "uvgs_bench.devices.cameras.images:ImageFolder",
+    "video": "uvgs_bench.devices.cameras.video:VideoFile",
+    "uvc": "uvgs_bench.devices.cameras.uvc:UvcCamera",
+    "sim": "uvgs_bench.devices.sim.camera:SimulatedCamera",
+}
+"""Scheme -> ``module:Class``."""
+
+
+def open_camera(spec: str, *, clock: Clock | None = None) -> CameraSource:
+    """Open a camera or a recording.
+
+    Args:
+        spec: ``images:FOLDER?glob=*.png``, ``video:FILE``, ``uvc:0`` or ``sim:NAME``.
+        clock: The bench clock that stamps a live camera's captures; the machine's monotonic clock when None.
+
+    Returns:
+        The open source.
+
+    Raises:
+        ConfigError: The scheme or an option is unknown.
+        CaptureError: It cannot be opened.
+    """
+    parsed = CameraSpec.parse(spec)
+    if parsed.scheme not in CAMERAS:
+        known = tuple(CAMERAS)
+        raise ConfigError(f"unknown kind of camera '{parsed.scheme}'{did_you_mean(parsed.scheme, known)}", spec)
+    module, _, name = CAMERAS[parsed.scheme].partition(":")
+    source: CameraSource = getattr(import_module(module), name).open(parsed, clock or RealClock())
+    return source

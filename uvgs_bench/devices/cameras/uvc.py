@@ -1,0 +1,109 @@
+"""A USB or built-in camera through Video4Linux."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from uvgs_bench.devices.cameras.base import ClosingSource
+from uvgs_bench.devices.clock import Clock
+from uvgs_bench.errors import CaptureError, ConfigError
+from uvgs_bench.sensor.capture import Capture
+from uvgs_bench.units import NS_PER_S, ns_from_s, s_from_ms
+
+if TYPE_CHECKING:
+    from uvgs_bench.devices.cameras.spec import CameraSpec
+
+# The driver keeps up to four finished frames; one more may have begun its exposure before the call.
+_QUEUED_FRAMES = 5
+# A driver stamp further than this from now is on another clock and tells nothing about freshness.
+_PLAUSIBLE_NS = 10 * NS_PER_S
+
+
+class UvcCamera(ClosingSource):
+    """A live camera. Frames that waited in the driver are dropped, so that a capture was exposed after the call.
+
+    Args:
+        spec: The spec string, for messages.
+        device: An open ``cv2.VideoCapture``.
+        clock: Stamps the captures at their arrival.
+    """
+
+    def __init__(self, spec: str, device: Any, clock: Clock) -> None:
+        super().__init__(spec, is_live=True, length=None)
+        self._device = device
+        self._clock = clock
+        self._next = 0
+
+    @classmethod
+    def open(cls, spec: CameraSpec, clock: Clock) -> UvcCamera:
+        """Open ``uvc:0`` or ``uvc:/dev/video0``, with the options ``width`` and ``height`` (px).
+
+        Raises:
+            CaptureError: There is no such device, it cannot be opened, or it has no such picture size.
+            ConfigError: An option is unknown or no number.
+        """
+        import cv2
+
+        spec.check_options(("width", "height"))
+        path = Path(f"/dev/video{spec.target}" if spec.target.isdigit() else spec.target or "/dev/video0")
+        if not path.exists():
+            there = " ".join(sorted(str(found) for found in Path("/dev").glob("video*"))) or "none"
+            raise CaptureError(f"no such camera {path}; cameras found: {there}", spec.text)
+        size = {}
+        for name in spec.options:
+            if not spec.options[name].isdigit():
+                raise ConfigError(f"expected {name} as a number of px, got '{spec.options[name]}'", spec.text)
+            size[name] = int(spec.options[name])
+        device = cv2.VideoCapture(str(path), cv2.CAP_V4L2)
+        if not device.isOpened():
+            device.release()
+            raise CaptureError(f"{path} cannot be opened: busy, no permission, or no video device", spec.text)
+        properties = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT}
+        for name, value in size.items():
+            device.set(properties[name], value)
+        for name, value in size.items():
+            have = int(device.get(properties[name]))
+            if have != value:
+                device.release()
+                raise CaptureError(f"{path} offers {name} {have} px instead of {value} px", spec.text)
+        return cls(spec.text, device, clock)
+
+    def grab(self) -> Capture:
+        """Expose and return a capture.
+
+        Raises:
+            CaptureError: The camera stopped delivering.
+        """
+        import cv2
+
+        if self._device is None:
+            raise CaptureError("the camera is closed", self.spec)
+        called_ns = time.monotonic_ns()
+        for _ in range(_QUEUED_FRAMES):
+            self._advance()
+            stamp_ns = ns_from_s(s_from_ms(float(self._device.get(cv2.CAP_PROP_POS_MSEC))))
+            if abs(stamp_ns - called_ns) < _PLAUSIBLE_NS and stamp_ns >= called_ns:
+                break
+        # The frame stamped after the call may have begun before it; the one after that did not.
+        self._advance()
+        t_ns = self._clock.now_ns()
+        is_read, image = self._device.retrieve()
+        if not is_read:
+            raise CaptureError("the camera delivered a frame that cannot be decoded", self.spec)
+        capture = Capture(np.ascontiguousarray(image), t_ns, self.spec, self._next)
+        self._next += 1
+        return capture
+
+    def _advance(self) -> None:
+        if not self._device.grab():
+            raise CaptureError("the camera stopped delivering frames", self.spec)
+
+    def close(self) -> None:
+        """Release the device. Safe to call twice."""
+        if self._device is not None:
+            self._device.release()
+            self._device = None

@@ -1,0 +1,257 @@
+"""The one true bench, shared by the mock controller and the simulated camera, and the list of those that are live."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uvgs_bench.beacon.geometry import Beacon, Led
+from uvgs_bench.camera.lens import Lens
+from uvgs_bench.devices.clock import ScaledClock
+from uvgs_bench.devices.gantry.axes import Axis
+from uvgs_bench.devices.sim.truth import SimulatedTruth
+from uvgs_bench.errors import CalibrationError, CaptureError, ConfigError
+from uvgs_bench.geometry import FloatArray, Pose, read_only
+from uvgs_bench.units import m_from_mm, rad_from_mrad
+
+if TYPE_CHECKING:
+    from uvgs_bench.devices.bench import Bench
+    from uvgs_bench.devices.sim.grbl_device import GrblDevice
+
+_PPM = 1e-6
+_live: dict[str, SimulatedBench] = {}
+_numbers = itertools.count(1)
+
+
+class SimulatedBench:
+    """The true bench. Where things are depends on bench time and the controller only, never on the speed.
+
+    Two simplifications: a move shorter than the backlash takes all of it up, and an axis changes its stopping error at
+    the moment it starts to move.
+
+    Args:
+        truth: What is true.
+        beacon: The beacon as its file says; the truth's offsets are added to it.
+        axes: The nominal axes.
+        mount: ``beacon_on_carriage`` or ``camera_on_carriage``.
+        speed: How much faster than real time the bench runs, > 0.
+        seed: Seed in place of the truth's.
+
+    Raises:
+        ConfigError: The truth names an LED the beacon does not have, or its lens is impossible.
+    """
+
+    def __init__(
+        self,
+        truth: SimulatedTruth,
+        beacon: Beacon,
+        axes: tuple[Axis, ...],
+        mount: str,
+        *,
+        speed: float = 1.0,
+        seed: int | None = None,
+    ) -> None:
+        self.truth = truth
+        self.axes = axes
+        self.mount = mount
+        self.seed = truth.seed if seed is None else seed
+        self.clock = ScaledClock(speed)
+        self.true_beacon = displaced_beacon(truth, beacon)
+        self.true_lens = true_lens(truth)
+        self._true_axes = true_axes(truth, axes)
+        is_carried = mount == "beacon_on_carriage"
+        self._outer = truth.camera_from_gantry.pose("camera", "gantry" if is_carried else "carriage")
+        self._inner = truth.carriage_from_beacon.pose("carriage" if is_carried else "gantry", "beacon")
+        self._backlash_m = _per_linear_axis(truth.gantry.backlash_mm, axes)
+        self._repeatability_m = _per_linear_axis(truth.gantry.repeatability_mm, axes)
+        self._device: GrblDevice | None = None
+        self.name = f"bench-{next(_numbers)}"
+        _live[self.name] = self
+
+    @property
+    def device(self) -> GrblDevice:
+        """The mock controller; it keeps its power, and so its settings, as long as the bench lives."""
+        if self._device is None:
+            from uvgs_bench.devices.sim.grbl_device import GrblDevice
+
+            self._device = GrblDevice.for_axes(self.axes)
+        return self._device
+
+    @property
+    def gantry_spec(self) -> str:
+        """Spec of the gantry on this bench."""
+        return f"grbl:sim://{self.name}"
+
+    @property
+    def camera_spec(self) -> str:
+        """Spec of the camera on this bench."""
+        return f"sim:{self.name}"
+
+    def true_axis_position(self, t_ns: int) -> FloatArray:
+        """Motor-side axis positions at an instant, shape (A,), m or rad."""
+        return read_only(self.device.position_at(t_ns))
+
+    def true_gantry_from_carriage(self, t_ns: int) -> Pose:
+        """Where the carriage truly is at an instant."""
+        device = self.device
+        motor = np.asarray(device.position_at(t_ns), dtype=np.float64)
+        direction = np.sign(np.asarray(device.last_direction(t_ns), dtype=np.float64))
+        return self.carriage_at(motor, direction, int(device.stops_count(t_ns)))
+
+    def carriage_at(self, motor: FloatArray, direction: FloatArray, stop_count: int) -> Pose:
+        """Where the carriage truly is for a motor position, however it got there.
+
+        Args:
+            motor: Motor-side axis positions, shape (A,), m or rad.
+            direction: Sign of the last motion of each axis, shape (A,), 0 when it never moved.
+            stop_count: How many stops there were; seeds the stopping error.
+
+        Returns:
+            True ``gantry_from_carriage``.
+        """
+        stopping = np.random.default_rng((self.seed, 1, stop_count)).standard_normal(len(self.axes))
+        carried = motor - 0.5 * self._backlash_m * direction + self._repeatability_m * stopping
+        return gantry_from_carriage_true(self._true_axes, carried)
+
+    def true_camera_from_beacon(self, t_ns: int) -> Pose:
+        """Where the beacon truly is before the camera at an instant."""
+        moving = self.true_gantry_from_carriage(t_ns)
+        if self.mount == "beacon_on_carriage":
+            return self._outer @ moving @ self._inner
+        return self._outer @ moving.inverse() @ self._inner
+
+    def true_camera_from(self, frame: str, t_ns: int) -> Pose:
+        """``camera_from_<frame>`` at an instant, for the frames camera, gantry and carriage."""
+        if frame == "camera":
+            return Pose.identity("camera", "camera")
+        moving = self.true_gantry_from_carriage(t_ns)
+        if self.mount == "beacon_on_carriage":
+            return self._outer if frame == "gantry" else self._outer @ moving
+        return self._outer if frame == "carriage" else self._outer @ moving.inverse()
+
+    def close(self) -> None:
+        """Take the bench off the list. Safe to call twice."""
+        _live.pop(self.name, None)
+
+
+def simulated_bench(name: str) -> SimulatedBench:
+    """Look up a live bench.
+
+    Args:
+        name: Its name.
+
+    Returns:
+        The bench.
+
+    Raises:
+        CaptureError: No bench of this name is live in this process.
+    """
+    if name not in _live:
+        there = ", ".join(_live) or "none"
+        raise CaptureError(f"no simulated bench '{name}' is running here; running: {there}", f"sim:{name}")
+    return _live[name]
+
+
+def is_live(name: str) -> bool:
+    """Whether a bench of this name is live in this process."""
+    return name in _live
+
+
+def start_simulated_bench(
+    bench: Bench, beacon: Beacon, *, speed: float = 1.0, seed: int | None = None
+) -> SimulatedBench:
+    """Start the simulated bench a bench file describes.
+
+    Args:
+        bench: The bench; without ``[simulated]`` the default truth is used.
+        beacon: Its beacon as the file says.
+        speed: How much faster than real time it runs, > 0.
+        seed: Seed in place of the truth's.
+
+    Returns:
+        The live bench; close it to take it off the list.
+
+    Raises:
+        ConfigError: The truth does not fit the beacon.
+    """
+    truth = bench.simulated or SimulatedTruth()
+    return SimulatedBench(truth, beacon, bench.envelope.axes, bench.mount, speed=speed, seed=seed)
+
+
+def true_lens(truth: SimulatedTruth) -> Lens:
+    """The true lens.
+
+    Raises:
+        ConfigError: Its model or parameters are impossible.
+    """
+    camera = truth.camera
+    try:
+        return Lens(camera.model, camera.width_px, camera.height_px, np.array(camera.parameters_px))
+    except CalibrationError as error:
+        raise ConfigError(str(error), key="simulated.camera") from None
+
+
+def displaced_beacon(truth: SimulatedTruth, beacon: Beacon) -> Beacon:
+    """The beacon with its LEDs where they truly are.
+
+    Raises:
+        ConfigError: The truth names an LED the beacon does not have.
+    """
+    for key, names in (("led_offset_mm", tuple(truth.led_offset_mm)), ("occlusion.leds", truth.occlusion.leds)):
+        for name in names:
+            if name not in beacon.led_names:
+                known = ", ".join(beacon.led_names)
+                raise ConfigError(f"beacon {beacon.name} has no LED '{name}', it has {known}", key=f"simulated.{key}")
+    leds = tuple(
+        Led(
+            led.name,
+            led.position_m + m_from_mm(np.array(truth.led_offset_mm.get(led.name, (0.0, 0.0, 0.0)))),
+            led.axis,
+            led.half_angle_rad,
+            led.diameter_m,
+        )
+        for led in beacon.leds
+    )
+    return Beacon(beacon.name, leds, beacon.hue)
+
+
+def true_axes(truth: SimulatedTruth, axes: tuple[Axis, ...]) -> tuple[tuple[str, FloatArray], ...]:
+    """Kind and true direction of each axis; the length of a linear direction carries the scale error.
+
+    A positive squareness leans the later axis of a pair towards the earlier one.
+    """
+    lean = dict(zip(((0, 1), (0, 2), (1, 2)), truth.gantry.squareness_mrad, strict=True))
+    linear = [i for i, axis in enumerate(axes) if axis.kind == "linear"]
+    result = []
+    for i, axis in enumerate(axes):
+        direction = np.array(axis.direction)
+        if i in linear:
+            later = linear.index(i)
+            for earlier in range(later):
+                angle = rad_from_mrad(lean.get((earlier, later), 0.0))
+                direction = direction + angle * axes[linear[earlier]].direction
+            direction = direction / np.linalg.norm(direction)
+        result.append((axis.kind, read_only(direction * (1.0 + _PPM * _entry(truth.gantry.scale_ppm, i)))))
+    return tuple(result)
+
+
+def gantry_from_carriage_true(axes: tuple[tuple[str, FloatArray], ...], position: FloatArray) -> Pose:
+    """The kinematic chain with true directions; a rotary axis turns by its scaled angle."""
+    pose = Pose.identity("gantry", "carriage")
+    for (kind, direction), value in zip(axes, position, strict=True):
+        step = np.concatenate(
+            (np.zeros(3), direction * value) if kind == "linear" else (direction * value, np.zeros(3))
+        )
+        pose = pose @ Pose.exp(step, "carriage", "carriage")
+    return pose
+
+
+def _entry(values: tuple[float, ...], index: int) -> float:
+    return values[min(index, len(values) - 1)]
+
+
+def _per_linear_axis(values_mm: tuple[float, ...], axes: tuple[Axis, ...]) -> FloatArray:
+    entries = [_entry(values_mm, i) if axis.kind == "linear" else 0.0 for i, axis in enumerate(axes)]
+    return read_only(m_from_mm(np.array(entries)))

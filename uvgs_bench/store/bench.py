@@ -1,0 +1,42 @@
+"""Reading ``bench.toml``, and starting the simulated bench it describes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from uvgs_bench.devices.bench import Bench, BenchFile
+from uvgs_bench.errors import ConfigError
+from uvgs_bench.store.documents import read_document
+
+
+def read_bench(path: Path) -> Bench:
+    """Read a bench file; the paths in it are relative to its folder.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The bench, in m and rad, with resolved paths. The files it names are not opened.
+
+    Raises:
+        ConfigError: As ``read_document``, or axes and keep-out boxes that cannot be meant.
+    """
+    file = read_document(path, BenchFile)
+    try:
+        envelope = file.gantry.envelope()
+    except ValueError as error:
+        raise ConfigError(str(error), str(path), "gantry") from None
+    folder = path.parent
+    return Bench(
+        name=file.name,
+        camera_file=str(folder / file.camera),
+        beacon_file=str(folder / file.beacon),
+        camera_source=file.camera_source,
+        gantry_port=file.gantry.port,
+        envelope=envelope,
+        mount=file.mount,
+        homing_timeout_s=file.gantry.homing_timeout_s,
+        sensor_file=None if file.sensor is None else str(folder / file.sensor),
+        simulated=file.simulated,
+        path=str(path),
+    )
