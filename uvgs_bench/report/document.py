@@ -113,6 +113,23 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
+class Measured:
+    """A number with its interval in one cell; both in the same unit."""
+
+    number: Number
+    interval: Interval
+
+    @property
+    def shown(self) -> str:
+        """The number, then its interval in brackets."""
+        return f"{self.number.shown} [{self.interval.shown}]"
+
+    def data(self) -> Data:
+        """Plain values for rendering and export."""
+        return {"kind": "measured", "number": self.number.data(), "interval": self.interval.data(), "shown": self.shown}
+
+
+@dataclass(frozen=True, slots=True)
 class Mark:
     """A verdict in one word; colour only repeats what the word says."""
 
@@ -129,7 +146,7 @@ class Mark:
         return {"kind": "mark", "state": self.state, "shown": self.shown}
 
 
-Cell = str | Number | Interval | Mark
+Cell = str | Number | Interval | Measured | Mark
 
 
 def cell_data(cell: Cell) -> Data:

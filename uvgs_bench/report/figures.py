@@ -118,7 +118,8 @@ def svg_of(figure: Canvas, key: str, alt: str) -> str:
 
 def legend_above(axes: Axes, columns: int) -> None:
     """Put the legend above the axes, where it covers no point."""
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns, borderaxespad=0.0, handletextpad=0.3, columnspacing=1.2)
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "borderaxespad": 0.0}
+    axes.legend(ncols=columns, handletextpad=0.3, columnspacing=1.2, **place)
 
 
 def thinned(count: int) -> np.ndarray[Any, np.dtype[np.int64]]:

@@ -1,7 +1,7 @@
 """Colours of every drawing. Series colours are Okabe and Ito's, told apart by people who are colour-blind.
 
-Ink, rules and series are written into the drawings as these exact values; the web page swaps them for variables, so that
-one drawing reads well on white paper and on a dark screen.
+Ink, rules and series are written into the drawings as these exact values; the web page swaps them for variables, so
+that one drawing reads well on white paper and on a dark screen.
 
 Source: M. Okabe, K. Ito, Color Universal Design, 2008.
 """

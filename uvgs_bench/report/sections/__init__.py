@@ -1,0 +1,24 @@
+"""Chapters of a report, one file each, strangers to each other.
+
+To add a section: 1. write ``sections/<name>.py`` with ``build(run, judgement) -> Section | None`` (None leaves it out);
+2. add one line to ``SECTIONS`` where it is to be read; shared drawing belongs into ``report/figures.py``.
+"""
+
+SECTIONS: dict[str, str] = {
+    "limits": "uvgs_bench.report.sections.limits:build",
+    "accuracy": "uvgs_bench.report.sections.accuracy:build",
+    "errors": "uvgs_bench.report.sections.errors:build",
+    "volume": "uvgs_bench.report.sections.volume:build",
+    "distribution": "uvgs_bench.report.sections.distribution:build",
+    "registration": "uvgs_bench.report.sections.registration:build",
+    "misses": "uvgs_bench.report.sections.misses:build",
+    "worst": "uvgs_bench.report.sections.worst:build",
+    "setup": "uvgs_bench.report.sections.setup:build",
+    "calibration": "uvgs_bench.report.sections.calibration:build",
+    "beacon": "uvgs_bench.report.sections.beacon:build",
+    "definitions": "uvgs_bench.report.sections.definitions:build",
+    "conventions": "uvgs_bench.report.sections.conventions:build",
+}
+"""Key -> builder, in reading order."""
+
+__all__ = ["SECTIONS"]

@@ -1,0 +1,129 @@
+"""From a run and its judgement to a document: banners, headline, key figures, chapters in the order of their table."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from uvgs_bench import __version__
+from uvgs_bench.accuracy.judgement import Judgement, LimitVerdict
+from uvgs_bench.report.document import Alert, Document, Interval, KeyFigure, Number, Section
+from uvgs_bench.report.quantities import SCALES, decimals_of
+from uvgs_bench.report.sections import SECTIONS
+from uvgs_bench.store.run import Run
+
+_KEY_FIGURES = (
+    ("Position, RMS", "position", "rms"),
+    ("Position, 95th percentile", "position", "p95"),
+    ("Lateral, RMS", "lateral", "rms"),
+    ("Depth, RMS", "depth", "rms"),
+    ("Attitude, RMS", "attitude", "rms"),
+)
+
+
+def build_document(run: Run, judgement: Judgement) -> Document:
+    """Build the report of a run. It depends on run and judgement alone, never on the time of day.
+
+    Args:
+        run: The run, finished or not.
+        judgement: What its errors amount to.
+
+    Returns:
+        The document.
+    """
+    m = run.manifest
+    return Document(
+        title=f"Accuracy of the uVGS-2 sensor, {m.procedure_name}",
+        subtitle=m.id,
+        created_utc=m.created_utc,
+        verdict=judgement.verdict,
+        headline=_headline(judgement),
+        banners=_banners(run),
+        key_figures=_key_figures(judgement),
+        sections=tuple(section for target in SECTIONS.values() if (section := _section(target, run, judgement))),
+        provenance=_provenance(run),
+    )
+
+
+def _section(target: str, run: Run, judgement: Judgement) -> Section | None:
+    module, function = target.split(":")
+    build: Any = getattr(importlib.import_module(module), function)
+    section = build(run, judgement)
+    assert section is None or isinstance(section, Section)
+    return section
+
+
+def _banners(run: Run) -> tuple[Alert, ...]:
+    banners: list[Alert] = []
+    if run.manifest.simulated:
+        text = "SIMULATED BENCH. Camera or gantry are software: these figures say nothing about a real sensor."
+        banners.append(Alert("warning", text))
+    if run.ended != "completed":
+        taken, planned = len({sample.station for sample in run.samples}), run.manifest.station_count
+        how = {"interrupted": "was interrupted", "failed": "failed"}.get(run.ended, "has no recorded end")
+        reason = f": {run.end_reason}" if run.end_reason else ""
+        text = f"INCOMPLETE. This run {how} after {taken} of {planned} stations{reason}. It is judged on what there is."
+        banners.append(Alert("danger", text))
+    if run.seams:
+        text = f"This run was resumed {len(run.seams)} times; the reference checks are in the set-up chapter."
+        banners.append(Alert("info", text))
+    return tuple(banners)
+
+
+def _headline(judgement: Judgement) -> str:
+    verdicts = judgement.verdicts
+    if judgement.summary is None:
+        why = next((alert.text for alert in judgement.alerts if alert.level == "error"), "there are no judged errors")
+        return f"No accuracy can be stated: {why}"
+    if not verdicts:
+        return "The procedure sets no limits; the figures below are stated without a verdict."
+    if judgement.verdict == "pass":
+        return f"All {len(verdicts)} limits are met with 95 % confidence."
+    chosen = [v for v in verdicts if v.verdict == judgement.verdict]
+    if not chosen:
+        return "Every limit alone is met, but the run as a whole cannot be judged; the alerts say why."
+    said = "; ".join(_short(v) for v in chosen)
+    word = "missed" if judgement.verdict == "fail" else "cannot be decided"
+    return f"{len(chosen)} of {len(verdicts)} limits {'are' if len(chosen) != 1 else 'is'} {word}: {said}."
+
+
+def _short(verdict: LimitVerdict) -> str:
+    return f"{verdict.limit.quantity.rsplit('_', 1)[0].replace('_', ' ')} ({verdict.reason.rstrip('.')})"
+
+
+def _key_figures(judgement: Judgement) -> tuple[KeyFigure, ...]:
+    figures: list[KeyFigure] = []
+    if judgement.summary is not None:
+        for label, component, statistic in _KEY_FIGURES:
+            if component not in judgement.summary.components:
+                continue
+            statistics = judgement.summary.components[component]
+            estimate, scale = getattr(statistics, statistic), SCALES[statistics.unit]
+            shown, decimals = estimate.scaled(scale.factor), decimals_of([estimate], scale.factor)
+            note = f"{estimate.station_count} stations, {estimate.capture_count} captures"
+            interval = Interval(shown.low, shown.high, decimals, scale.unit)
+            figures.append(KeyFigure(label, Number(shown.value, decimals, scale.unit), interval, note))
+    a, percent = judgement.availability, SCALES["percent"]
+    fraction = a.fraction.scaled(percent.factor)
+    interval = Interval(fraction.low, fraction.high, 1, percent.unit)
+    note = f"{a.solved} of {a.attempted} captures"
+    figures.append(KeyFigure("Availability", Number(fraction.value, 1, percent.unit), interval, note))
+    return tuple(figures)
+
+
+def _provenance(run: Run) -> tuple[tuple[str, str], ...]:
+    m = run.manifest
+    return (
+        ("run", m.id),
+        ("created (UTC)", m.created_utc),
+        ("ended (UTC)", run.ended_utc or "not recorded"),
+        ("simulated", "yes" if m.simulated else "no"),
+        ("seed", str(m.seed)),
+        ("plan hash", m.plan_hash),
+        ("camera", m.camera_spec),
+        ("gantry", m.gantry_spec),
+        ("report made by", f"uvgs_bench {__version__}"),
+        *((f"version: {name}", text) for name, text in sorted(m.versions.items())),
+        *((f"SHA-256: {name}", text) for name, text in sorted(m.hashes.items())),
+        *((f"controller: {name}", text) for name, text in sorted(m.gantry_info.items())),
+    )

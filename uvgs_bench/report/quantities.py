@@ -1,0 +1,118 @@
+"""From estimates in SI to what a page shows: unit, digits, words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from uvgs_bench.accuracy.statistics import ComponentStatistics, Estimate
+from uvgs_bench.geometry import FloatArray
+from uvgs_bench.report.document import Interval, Measured, Number, decimals_for
+from uvgs_bench.units import deg_from_rad, mm_from_m
+
+COMPONENT_WORDS = {
+    "lateral_x": "lateral x (right)",
+    "lateral_y": "lateral y (down)",
+    "depth": "depth z (forward)",
+    "lateral": "lateral, both axes",
+    "position": "position, all axes",
+    "tilt_x": "tilt about x",
+    "tilt_y": "tilt about y",
+    "roll": "roll about z",
+    "attitude": "attitude, all axes",
+}
+STATISTIC_WORDS = {
+    "bias": "bias",
+    "spread": "spread",
+    "rms": "RMS",
+    "median": "median",
+    "p95": "95th percentile",
+    "max": "largest",
+    "fraction": "share of captures with a pose",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How a quantity is shown.
+
+    Args:
+        unit: Unit as printed.
+        factor: From SI to that unit.
+    """
+
+    unit: str
+    factor: float
+
+
+SCALES = {
+    "m": Scale("mm", mm_from_m(1.0)),
+    "rad": Scale("deg", deg_from_rad(1.0)),
+    "1": Scale("", 1.0),
+    "percent": Scale("%", 100.0),
+}
+"""Unit of an estimate (or ``percent`` for a fraction) to how it is shown."""
+
+
+def unit_word(unit: str) -> str:
+    """A unit as printed."""
+    return "%" if unit == "percent" else unit
+
+
+def decimals_of(estimates: Iterable[Estimate], factor: float, default: int = 3) -> int:
+    """Digits after the point common to several estimates, from the doubt of the typical one.
+
+    Args:
+        estimates: In SI.
+        factor: From SI to the unit shown.
+        default: When no estimate has a finite interval.
+
+    Returns:
+        Digits after the point.
+    """
+    known = list(estimates)
+    widths = [0.5 * factor * (e.high - e.low) for e in known]
+    if any(np.isfinite(w) and w > 0.0 for w in widths):
+        return decimals_for(widths, default=default)
+    # Without any interval, three significant digits of the figure itself are all that can be defended.
+    return decimals_for([0.1 * factor * abs(e.value) for e in known], default=default)
+
+
+def measured(estimate: Estimate, scale: Scale, decimals: int) -> Measured:
+    """A figure and its interval, for a table cell."""
+    e = estimate.scaled(scale.factor)
+    return Measured(Number(e.value, decimals, scale.unit), Interval(e.low, e.high, decimals, scale.unit))
+
+
+def all_estimates(statistics: ComponentStatistics) -> tuple[Estimate, ...]:
+    """Every estimate of one component."""
+    s = statistics
+    return s.bias, s.spread, s.rms, s.median, s.p95, s.max, s.within_station, s.between_stations
+
+
+def notes_of(estimates: Iterable[Estimate]) -> tuple[str, ...]:
+    """Why intervals are open or missing, each reason once, in order of appearance."""
+    return tuple(dict.fromkeys(e.note for e in estimates if e.note))
+
+
+def station_means(station: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: FloatArray) -> FloatArray:
+    """Mean of the finite rows of each station, in the order of station numbers.
+
+    Args:
+        station: Station of each row, shape (N,).
+        values: Values, shape (N, k).
+
+    Returns:
+        Means, shape (S, k); NaN for a station without a finite row.
+    """
+    numbers, place = np.unique(station, return_inverse=True)
+    is_finite = np.isfinite(values).all(axis=1)
+    count = np.bincount(place[is_finite], minlength=len(numbers)).astype(np.float64)
+    total = np.stack(
+        [np.bincount(place[is_finite], weights=column[is_finite], minlength=len(numbers)) for column in values.T],
+        axis=1,
+    )
+    means: FloatArray = np.where(count[:, None] > 0.0, total / np.maximum(count, 1.0)[:, None], np.nan)
+    return means

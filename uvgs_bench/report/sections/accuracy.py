@@ -1,0 +1,147 @@
+"""The tables of errors: held out, next to in-sample, and what repeating tells apart."""
+
+from __future__ import annotations
+
+from uvgs_bench.accuracy.judgement import Judgement
+from uvgs_bench.accuracy.statistics import AccuracySummary, ComponentStatistics
+from uvgs_bench.report.document import Block, Cell, Column, Number, Paragraph, Section, Table
+from uvgs_bench.report.quantities import (
+    COMPONENT_WORDS,
+    SCALES,
+    Scale,
+    all_estimates,
+    decimals_of,
+    measured,
+    notes_of,
+)
+from uvgs_bench.store.run import Run
+
+_POSITION = ("lateral_x", "lateral_y", "depth", "lateral", "position")
+_ATTITUDE = ("tilt_x", "tilt_y", "roll", "attitude")
+_STATISTICS = {
+    "Bias": "bias",
+    "Spread": "spread",
+    "RMS": "rms",
+    "Median": "median",
+    "95th perc.": "p95",
+    "Largest": "max",
+}
+
+
+def build(run: Run, judgement: Judgement) -> Section | None:
+    """Statistics of the errors with their intervals."""
+    del run
+    title = "Accuracy"
+    summary = judgement.summary
+    if summary is None:
+        text = "There are no judged errors in this run; the alerts above say why."
+        return Section("accuracy", title, (Paragraph(text),))
+    blocks: list[Block] = [Paragraph(_introduction(summary))]
+    for names, what in ((_POSITION, "Position"), (_ATTITUDE, "Attitude")):
+        blocks.append(
+            _statistics_table(summary, names, f"{what} error, held-out stations, 95 % interval below each figure.")
+        )
+    notes = notes_of(e for c in summary.components.values() for e in all_estimates(c))
+    blocks.extend(Paragraph(f"Open intervals: {note}") for note in notes)
+    blocks.append(_repeatability_table(summary))
+    if judgement.in_sample_summary is not None:
+        blocks.append(_comparison_table(judgement.in_sample_summary, summary))
+    blocks.append(_context_table(summary, judgement))
+    return Section("accuracy", title, tuple(blocks))
+
+
+def _introduction(summary: AccuracySummary) -> str:
+    return (
+        f"{summary.capture_count} captures at {summary.station_count} stations that took no part in the registration, "
+        f"{summary.range_min_m:.3f} m to {summary.range_max_m:.3f} m from the camera. Errors are observed minus expected, "
+        "in camera axes. Intervals come from resampling whole stations: captures of one station are not independent."
+    )
+
+
+def _chosen(summary: AccuracySummary, names: tuple[str, ...]) -> list[ComponentStatistics]:
+    return [summary.components[name] for name in names if name in summary.components]
+
+
+def _statistics_table(summary: AccuracySummary, names: tuple[str, ...], caption: str) -> Table:
+    chosen = _chosen(summary, names)
+    scale = SCALES[chosen[0].unit]
+    decimals = decimals_of([c.rms for c in chosen], scale.factor)
+    columns = (Column("Component"), *(Column(label, scale.unit, True) for label in _STATISTICS))
+    rows = tuple(
+        (COMPONENT_WORDS[c.name], *(measured(getattr(c, field), scale, decimals) for field in _STATISTICS.values()))
+        for c in chosen
+    )
+    return Table(caption, columns, rows)
+
+
+def _repeatability_table(summary: AccuracySummary) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for name in ("lateral", "depth", "position", "attitude"):
+        for c in _chosen(summary, (name,)):
+            scale = SCALES[c.unit]
+            decimals = decimals_of([c.within_station, c.between_stations], scale.factor)
+            pair = (measured(e, scale, decimals) for e in (c.within_station, c.between_stations))
+            rows.append((COMPONENT_WORDS[name], *pair))
+    caption = "Repeatability: what repeating a capture averages away, and what it does not."
+    columns = (
+        Column("Component"),
+        Column("Within a station", is_numeric=True),
+        Column("Between stations", is_numeric=True),
+    )
+    return Table(caption, columns, tuple(rows))
+
+
+def _comparison_table(in_sample: AccuracySummary, held_out: AccuracySummary) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for name in ("lateral", "depth", "position", "attitude"):
+        if name not in in_sample.components or name not in held_out.components:
+            continue
+        fitted, judged = in_sample.components[name].rms, held_out.components[name].rms
+        scale = SCALES[held_out.components[name].unit]
+        decimals = decimals_of([judged, fitted], scale.factor)
+        rows.append(
+            (f"{COMPONENT_WORDS[name]}, RMS", measured(fitted, scale, decimals), measured(judged, scale, decimals))
+        )
+    caption = (
+        f"Why stations are held out: the same errors on the {in_sample.station_count} stations the registration was "
+        f"fitted on (optimistic, never judged) and on the {held_out.station_count} others."
+    )
+    columns = (Column("Component"), Column("In sample", is_numeric=True), Column("Held out", is_numeric=True))
+    return Table(caption, columns, tuple(rows))
+
+
+def _context_table(summary: AccuracySummary, judgement: Judgement) -> Table:
+    availability, percent = judgement.availability, SCALES["percent"]
+    mm, deg = SCALES["m"], SCALES["rad"]
+    nees = summary.consistency
+    rows: tuple[tuple[Cell, ...], ...] = (
+        ("Captures with a pose", _share(judgement, percent), f"{availability.solved} of {availability.attempted}"),
+        (
+            "Registration's own share of the position error",
+            Number(summary.registration_share_m * mm.factor, 4, mm.unit),
+            "root mean square; contained in the held-out errors",
+        ),
+        (
+            "Registration's own share of the attitude error",
+            Number(summary.registration_share_rad * deg.factor, 4, deg.unit),
+            "root mean square; contained in the held-out errors",
+        ),
+        (
+            "Beyond five times the predicted error",
+            Number(summary.outlier_count, 0),
+            "captures; counted, and included in every figure",
+        ),
+        (
+            "Mean NEES / 6",
+            measured(nees.mean_nees_over_6, SCALES["1"], decimals_of([nees.mean_nees_over_6], 1.0, 2)),
+            f"expected {nees.band_low:.2f} … {nees.band_high:.2f}: the sensor's own covariance is "
+            + ("consistent with its errors" if nees.is_consistent else "not consistent with its errors"),
+        ),
+    )
+    columns = (Column("Also"), Column("Value", is_numeric=True), Column("Meaning"))
+    return Table("Availability, the registration's share, outliers, and honesty of the covariance.", columns, rows)
+
+
+def _share(judgement: Judgement, percent: Scale) -> Cell:
+    fraction = judgement.availability.fraction
+    return measured(fraction, percent, decimals_of([fraction], percent.factor, 1))

@@ -1,0 +1,117 @@
+"""Histograms of the errors against the law the sensor's own covariance predicts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uvgs_bench.accuracy.judgement import Judgement
+from uvgs_bench.accuracy.pose_error import ErrorTable
+from uvgs_bench.geometry import FloatArray
+from uvgs_bench.report.document import Figure, Paragraph, Section
+from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.palette import INK, SERIES
+from uvgs_bench.sensor.outcome import PoseEstimate
+from uvgs_bench.store.run import Run
+
+_DEGREES_OF_FREEDOM = 6
+_SHOWN_SIGMAS = 5.0
+
+
+def build(run: Run, judgement: Judgement) -> Section | None:
+    """Normalised components against N(0, 1), NEES against chi-squared of 6."""
+    table = judgement.table
+    if table is None or not table.is_solved.any():
+        return None
+    table = table.select(table.is_solved)
+    z = _normalised(run, table)
+    text = (
+        "Each error is divided by the standard deviation predicted for it (sensor and registration). Taller tails than "
+        "the drawn law mean that the sensor is surer of itself than it should be."
+    )
+    blocks = [Paragraph(text)]
+    figures = (
+        _components(z[:, 3:], "z-position", ("lateral x", "lateral y", "depth z"), "position"),
+        _components(z[:, :3], "z-attitude", ("tilt x", "tilt y", "roll z"), "attitude"),
+        _nees(table.nees[np.isfinite(table.nees)]),
+    )
+    return Section("distribution", "Errors against the predicted law", (*blocks, *figures))
+
+
+def _normalised(run: Run, table: ErrorTable) -> FloatArray:
+    """Errors over their predicted standard deviations, shape (N, 6), rotation first."""
+    covariances = {
+        (sample.station, sample.t_ns): sample.outcome.covariance
+        for sample in run.samples
+        if isinstance(sample.outcome, PoseEstimate)
+    }
+    unknown = np.full((6, 6), np.nan)
+    z = np.full((table.count, 6), np.nan)
+    for i in range(table.count):
+        C = covariances.get((int(table.station[i]), int(table.t_ns[i])), unknown)
+        # The covariance is of the left tangent; the translation error itself is v + omega x t.
+        x, y, depth = table.predicted_t_m[i]
+        J = np.eye(6)
+        J[3:, :3] = np.array([[0.0, depth, -y], [-depth, 0.0, x], [y, -x, 0.0]])
+        F = table.registration_factor[i]
+        variance = np.diag(J @ C @ J.T + F @ F.T)
+        error = np.concatenate([table.rotation_error_rad[i], table.translation_error_m[i]])
+        z[i] = np.where(variance > 0.0, error / np.sqrt(np.where(variance > 0.0, variance, 1.0)), np.nan)
+    return z
+
+
+def _components(z: FloatArray, key: str, names: tuple[str, ...], what: str) -> Figure:
+    z = z[np.isfinite(z).all(axis=1)]
+    spread = z.std(axis=0) if len(z) else np.full(3, np.nan)
+    beyond = int((np.abs(z) > _SHOWN_SIGMAS).sum())
+    alt = (
+        f"Normalised {what} errors of {len(z)} captures against the standard normal law. "
+        + "; ".join(f"{n}: standard deviation {spread[k]:.2f} (1 expected)" for k, n in enumerate(names))
+        + f". {beyond} values lie beyond {_SHOWN_SIGMAS:g} and are counted in the outermost bars."
+    )
+    with style(key):
+        figure = canvas()
+        axes = figure.add_subplot()
+        edges = np.linspace(-_SHOWN_SIGMAS, _SHOWN_SIGMAS, 31)
+        for k, name in enumerate(names):
+            clipped = np.clip(z[:, k], edges[0] + 1e-9, edges[-1] - 1e-9)
+            axes.hist(clipped, bins=edges, density=True, histtype="step", color=SERIES[k], lw=1.5, label=name)
+        grid = np.linspace(-_SHOWN_SIGMAS, _SHOWN_SIGMAS, 201)
+        axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi), "--", color=INK, lw=1.2, label="N(0, 1)")
+        axes.set_xlabel(f"{what} error / predicted standard deviation")
+        axes.set_ylabel("density")
+        legend_above(axes, 4)
+        svg = svg_of(figure, key, alt)
+    caption = f"Normalised {what} errors of the held-out captures; dashed: the law they should follow."
+    return Figure(key, svg, alt, caption, tuple(series(n, "1", z[:, k]) for k, n in enumerate(names)))
+
+
+def _nees(nees: FloatArray) -> Figure:
+    key = "nees"
+    mean = float(nees.mean()) if len(nees) else float("nan")
+    above = float((nees > 12.59).mean()) if len(nees) else float("nan")  # 95 % point of chi-squared with 6 dof
+    alt = (
+        f"NEES of {len(nees)} captures against the chi-squared law of {_DEGREES_OF_FREEDOM} degrees of freedom: mean "
+        f"{mean:.2f} ({_DEGREES_OF_FREEDOM} expected), {100 * above:.1f} % above its 95 % point (5 % expected)."
+    )
+    with style(key):
+        figure = canvas()
+        axes = figure.add_subplot()
+        reach = 30.0
+        edges = np.linspace(0.0, reach, 31)
+        axes.hist(
+            np.clip(nees, 0.0, reach - 1e-9),
+            bins=edges,
+            density=True,
+            color=SERIES[0],
+            alpha=0.65,
+            label="held-out captures",
+        )
+        grid = np.linspace(0.0, reach, 301)
+        # Source: the chi-squared density of 6 degrees of freedom, x^2 exp(-x/2) / 16.
+        axes.plot(grid, grid**2 * np.exp(-0.5 * grid) / 16.0, "--", color=INK, lw=1.2, label="predicted")
+        axes.set_xlabel("NEES (last bar: this and more)")
+        axes.set_ylabel("density")
+        legend_above(axes, 2)
+        svg = svg_of(figure, key, alt)
+    caption = "Squared error over the whole predicted covariance, which also knows the correlations."
+    return Figure(key, svg, alt, caption, (series("nees", "1", nees),))

@@ -1,0 +1,151 @@
+"""Errors against range, station position and time, drawn."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uvgs_bench.accuracy.judgement import Judgement
+from uvgs_bench.accuracy.pose_error import ErrorTable
+from uvgs_bench.geometry import FloatArray
+from uvgs_bench.report.document import Block, Figure, Paragraph, Section, Series
+from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of, symmetric_limits, thinned
+from uvgs_bench.report.palette import FAINT, MARKERS, SERIES
+from uvgs_bench.store.run import Run
+from uvgs_bench.units import deg_from_rad, mm_from_m, s_from_ns
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_POSITION = ("lateral x", "lateral y", "depth z")
+_ATTITUDE = ("tilt x", "tilt y", "roll z")
+
+
+def build(run: Run, judgement: Judgement) -> Section | None:
+    """Figures of the error against everything it may depend on."""
+    table = judgement.table
+    if table is None or not table.is_solved.any():
+        return None
+    table = table.select(table.is_solved)
+    position_mm, attitude_deg = mm_from_m(table.translation_error_m), deg_from_rad(table.rotation_error_rad)
+    blocks: list[Block] = [
+        Paragraph("One mark per held-out capture. A straight slope against range or position points at a scale error.")
+    ]
+    blocks.append(_against_range(table, position_mm, "range-position", _POSITION, "position error", "mm"))
+    blocks.append(_against_range(table, attitude_deg, "range-attitude", _ATTITUDE, "attitude error", "deg"))
+    blocks.append(_against_axes(run, table, position_mm))
+    blocks.append(_against_time(run, table, judgement.in_sample_table))
+    return Section("errors", "Errors against range, position and time", tuple(blocks))
+
+
+def _scatter(axes: Axes, x: FloatArray, errors: FloatArray, names: tuple[str, ...]) -> None:
+    for k, name in enumerate(names):
+        axes.plot(x, errors[:, k], MARKERS[k], color=SERIES[k], ms=3.4, mew=0, alpha=0.75, label=name)
+    axes.axhline(0.0, color=FAINT, lw=0.8)
+    symmetric_limits(axes, errors)
+
+
+def _against_range(
+    table: ErrorTable, errors: FloatArray, key: str, names: tuple[str, ...], what: str, unit: str
+) -> Figure:
+    slope = [
+        float(np.polyfit(table.range_m, errors[:, k], 1)[0]) if np.ptp(table.range_m) > 0 else 0.0 for k in range(3)
+    ]
+    largest = np.abs(errors).max(axis=0)
+    alt = (
+        f"Components of the {what} against range from {table.range_m.min():.3f} m to {table.range_m.max():.3f} m. "
+        + "; ".join(
+            f"{n}: largest {largest[k]:.3g} {unit}, slope {slope[k]:+.3g} {unit} per m" for k, n in enumerate(names)
+        )
+        + "."
+    )
+    with style(key):
+        figure = canvas()
+        axes = figure.add_subplot()
+        shown = thinned(table.count)
+        _scatter(axes, table.range_m[shown], errors[shown], names)
+        axes.set_xlabel("range to the beacon (m)")
+        axes.set_ylabel(f"{what} ({unit})")
+        legend_above(axes, 3)
+        svg = svg_of(figure, key, alt)
+    data = (series("range", "m", table.range_m), *(series(n, unit, errors[:, k]) for k, n in enumerate(names)))
+    return Figure(key, svg, alt, f"{what.capitalize()} in camera axes against range, held-out captures.", data)
+
+
+def _against_axes(run: Run, table: ErrorTable, errors: FloatArray) -> Figure:
+    axes_of_gantry = run.manifest.axes
+    positions: list[FloatArray] = []
+    labels: list[str] = []
+    for i, axis in enumerate(axes_of_gantry):
+        column = table.axis_position[:, i]
+        positions.append(mm_from_m(column) if axis.kind == "linear" else deg_from_rad(column))
+        labels.append(f"axis {axis.name} ({'mm' if axis.kind == 'linear' else 'deg'})")
+    key = "position-axes"
+    alt = "Components of the position error against the carriage position. " + "; ".join(
+        f"{label} from {p.min():.4g} to {p.max():.4g}: strongest correlation {_strongest(p, errors)}"
+        for label, p in zip(labels, positions, strict=True)
+    )
+    with style(key):
+        figure = canvas(height_in=0.6 + 1.75 * len(positions))
+        panels = figure.subplots(len(positions), 1, squeeze=False)[:, 0]
+        shown = thinned(table.count)
+        for panel, position, label in zip(panels, positions, labels, strict=True):
+            _scatter(panel, position[shown], errors[shown], _POSITION)
+            panel.set_xlabel(label)
+            panel.set_ylabel("error (mm)")
+        legend_above(panels[0], 3)
+        svg = svg_of(figure, key, alt)
+    data: list[Series] = [series(n, "mm", errors[:, k]) for k, n in enumerate(_POSITION)]
+    for label, position in zip(labels, positions, strict=True):
+        name, unit = label.removesuffix(")").split(" (")
+        data.append(series(name, unit, position))
+    return Figure(
+        key, svg, alt, "Position error in camera axes against each machine axis, held-out captures.", tuple(data)
+    )
+
+
+def _strongest(position: FloatArray, errors: FloatArray) -> str:
+    if np.ptp(position) == 0.0 or len(position) < 3:
+        return "none to be had"
+    known = [(k, errors[:, k]) for k in range(3) if np.ptp(errors[:, k]) > 0.0]
+    if not known:
+        return "none to be had"
+    k, r = max(((k, float(np.corrcoef(position, e)[0, 1])) for k, e in known), key=lambda pair: abs(pair[1]))
+    return f"{_POSITION[k]}, {r:+.2f}"
+
+
+def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> Figure:
+    start = run.samples[0].t_ns if run.samples else int(table.t_ns[0])
+    held_s = _seconds(table, start)
+    held_mm = mm_from_m(table.position_error_m)
+    half = len(held_mm) // 2
+    key = "time"
+    alt = (
+        f"Length of the position error over {held_s.max():.0f} s of the run. Held-out captures: median "
+        f"{np.median(held_mm[:half]) if half else held_mm[0]:.3g} mm in the first half, {np.median(held_mm[half:]):.3g} mm in "
+        "the second."
+    )
+    data = [series("time", "s", held_s), series("position error", "mm", held_mm)]
+    with style(key):
+        figure = canvas(height_in=2.9)
+        axes = figure.add_subplot()
+        if in_sample is not None and in_sample.is_solved.any():
+            fitted = in_sample.select(in_sample.is_solved)
+            shown = thinned(fitted.count)
+            fitted_s, fitted_mm = _seconds(fitted, start), mm_from_m(fitted.position_error_m)
+            axes.plot(fitted_s[shown], fitted_mm[shown], "x", color=FAINT, ms=4, label="in sample")
+            data += [series("time in sample", "s", fitted_s), series("position error in sample", "mm", fitted_mm)]
+        shown = thinned(table.count)
+        axes.plot(held_s[shown], held_mm[shown], "o", color=SERIES[0], ms=3.4, mew=0, alpha=0.8, label="held out")
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("time since the first capture (s)")
+        axes.set_ylabel("position error (mm)")
+        legend_above(axes, 2)
+        svg = svg_of(figure, key, alt)
+    return Figure(key, svg, alt, "Length of the position error over the run; a trend points at drift.", tuple(data))
+
+
+def _seconds(table: ErrorTable, start_ns: int) -> FloatArray:
+    # Differences of integers first: nanoseconds since 1970 do not fit a float.
+    return np.array([s_from_ns(int(t) - start_ns) for t in table.t_ns], dtype=np.float64)

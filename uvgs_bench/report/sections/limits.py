@@ -1,0 +1,73 @@
+"""Every limit with its figure, interval and verdict, then what the reader must be told first."""
+
+from __future__ import annotations
+
+from uvgs_bench.accuracy.judgement import QUANTITIES, Judgement, LimitVerdict
+from uvgs_bench.report.document import (
+    Alert,
+    Alerts,
+    Block,
+    Cell,
+    Column,
+    Interval,
+    Level,
+    Mark,
+    Number,
+    Paragraph,
+    Section,
+    Table,
+    decimals_for,
+)
+from uvgs_bench.report.quantities import COMPONENT_WORDS, STATISTIC_WORDS, unit_word
+from uvgs_bench.store.run import Run
+
+_LEVELS: dict[str, Level] = {"note": "info", "warning": "warning", "error": "danger"}
+_COLUMNS = (
+    Column("Requirement"),
+    Column("Limit", is_numeric=True),
+    Column("Found", is_numeric=True),
+    Column("95 % interval", is_numeric=True),
+    Column("Stations", is_numeric=True),
+    Column("Verdict"),
+    Column("Because"),
+)
+
+
+def build(run: Run, judgement: Judgement) -> Section | None:
+    """The limits and the alerts."""
+    del run
+    blocks: list[Block] = []
+    if judgement.verdicts:
+        rows = tuple(_row(verdict) for verdict in judgement.verdicts)
+        caption = (
+            "A limit is met only when the whole 95 % interval lies within it, and missed only when it lies outside."
+        )
+        blocks.append(Table(caption, _COLUMNS, rows))
+    else:
+        blocks.append(Paragraph("The procedure sets no limits, so there is nothing to pass: the verdict stays open."))
+    blocks.append(Paragraph(judgement.split))
+    if judgement.alerts:
+        blocks.append(Alerts(tuple(Alert(_LEVELS[alert.level], alert.text) for alert in judgement.alerts)))
+    return Section("limits", "Verdict against the limits", tuple(blocks))
+
+
+def _row(verdict: LimitVerdict) -> tuple[Cell, ...]:
+    limit = verdict.limit
+    component, statistic, _ = QUANTITIES[limit.quantity]
+    words = (
+        STATISTIC_WORDS[statistic]
+        if component == "availability"
+        else f"{COMPONENT_WORDS[component].split(',')[0].split(' (')[0]}, {STATISTIC_WORDS[statistic]}"
+    )
+    unit = unit_word(limit.unit)
+    decimals = decimals_for([0.5 * (verdict.high - verdict.low), 0.1 * abs(verdict.value)], default=2)
+    sign = "≤" if limit.bound == "max" else "≥"
+    return (
+        words,
+        f"{sign} {limit.value:g} {unit}",
+        Number(verdict.value, decimals, unit),
+        Interval(verdict.low, verdict.high, decimals, unit),
+        Number(verdict.n, 0),
+        Mark(verdict.verdict),
+        verdict.reason,
+    )

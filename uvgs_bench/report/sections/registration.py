@@ -1,0 +1,81 @@
+"""How the frames were found to sit together, and what the motions could not tell."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uvgs_bench.accuracy.judgement import Judgement
+from uvgs_bench.accuracy.registration import Registration
+from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.geometry.se3 import euler_zyx_from_rotation, hat
+from uvgs_bench.report.document import Alert, Alerts, Block, Cell, Column, Number, Paragraph, Section, Table
+from uvgs_bench.store.run import Run
+from uvgs_bench.units import deg_from_rad, mm_from_m
+
+
+def build(run: Run, judgement: Judgement) -> Section | None:
+    """The two constant poses with their doubt, rank, blind spots and gauge."""
+    del run
+    title = "Registration"
+    registration = judgement.registration
+    if registration is None:
+        return Section("registration", title, (Paragraph("The frames could not be registered; the alerts say why."),))
+    r = registration
+    blocks: list[Block] = [
+        Paragraph(
+            f"Fitted to {r.capture_count} captures at {r.station_count} stations by robust least squares on poses; "
+            f"{r.downweighted_count} captures weighed less, {r.outlier_count} far out. The scale of the sensor is never "
+            "fitted: it would hide the error one looks for."
+        ),
+        _pose_table(r.left, r.covariance[:6, :6]),
+        _pose_table(r.right, r.covariance[6:, 6:]),
+        _quality_table(r),
+        Paragraph(
+            "Registration absorbs any constant offset between what the sensor sees and where the gantry is: what remains "
+            "is noise, linearity, scale, depth error, drift and cross-coupling. Absolute trueness needs an independent link."
+        ),
+    ]
+    if r.blind_spots:
+        blocks.append(Alerts(tuple(Alert("info", f"Not seen by these motions: {text}") for text in r.blind_spots)))
+    return Section("registration", title, tuple(blocks))
+
+
+def _pose_table(pose: Pose, covariance: FloatArray) -> Table:
+    # The tangent is on the left, so the translation itself moves by v + omega x t.
+    J = np.hstack([-hat(pose.t_m), np.eye(3)])
+    sigma_t_mm = mm_from_m(np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0)))
+    sigma_r_deg = deg_from_rad(np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)))
+    t_mm = mm_from_m(pose.t_m)
+    yaw, pitch, roll = euler_zyx_from_rotation(pose.R)
+    rows: tuple[tuple[Cell, ...], ...] = (
+        *(
+            (f"translation {axis}", Number(float(t_mm[k]), 3, "mm"), Number(float(sigma_t_mm[k]), 3, "mm"))
+            for k, axis in enumerate("xyz")
+        ),
+        *(
+            (f"{name} (about {axis})", Number(deg_from_rad(angle), 4, "deg"), "")
+            for name, axis, angle in (("yaw", "z", yaw), ("pitch", "y", pitch), ("roll", "x", roll))
+        ),
+        *(
+            (f"rotation doubt about {axis}", "", Number(float(sigma_r_deg[k]), 4, "deg"))
+            for k, axis in enumerate("xyz")
+        ),
+    )
+    columns = (Column("Quantity"), Column("Value", is_numeric=True), Column("Standard deviation", is_numeric=True))
+    caption = (
+        f"{pose.target}_from_{pose.source}: {pose.source} origin in {pose.target} axes; angles intrinsic Z-Y-X, a view only; "
+        f"rotation doubt about {pose.target} axes. Doubts hold in the gauge below."
+    )
+    return Table(caption, columns, rows)
+
+
+def _quality_table(r: Registration) -> Table:
+    rows: tuple[tuple[Cell, ...], ...] = (
+        ("Directions seen", f"{r.rank} of 12", "rank of the information"),
+        ("Gauge", r.gauge, "how unseen directions were chosen; predictions do not depend on it"),
+        ("Variance factor", Number(r.variance_factor, 2), "scatter of station means over what one capture predicts"),
+        ("Degrees of freedom", Number(r.degrees_of_freedom, 0), "six per station less the rank"),
+        ("Assumed gantry doubt", Number(mm_from_m(r.gantry_sigma_m), 4, "mm"), "standard deviation per axis"),
+        ("Iterations", Number(r.iterations, 0), "of the least squares"),
+    )
+    return Table("Quality of the fit.", (Column("Quantity"), Column("Value"), Column("Meaning")), rows)

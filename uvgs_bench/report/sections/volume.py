@@ -1,0 +1,165 @@
+"""The stations in space with their error vectors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from uvgs_bench.accuracy.judgement import Judgement
+from uvgs_bench.geometry import FloatArray
+from uvgs_bench.report.document import Figure, Section
+from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.palette import FAINT, ORANGE, SERIES
+from uvgs_bench.report.quantities import station_means
+from uvgs_bench.store.run import Run
+from uvgs_bench.units import mm_from_m
+
+_ARROW_SHARE = 0.18
+
+
+def build(run: Run, judgement: Judgement) -> Section | None:
+    """Where the stations were and which way each mean error points."""
+    del run
+    table = judgement.table
+    if table is None or not table.is_solved.any():
+        return None
+    table = table.select(table.is_solved)
+    places = station_means(table.station, table.predicted_t_m)
+    errors = station_means(table.station, table.translation_error_m)
+    fitted = np.empty((0, 3))
+    if judgement.in_sample_table is not None:
+        fitted = station_means(judgement.in_sample_table.station, judgement.in_sample_table.predicted_t_m)
+    everything = np.vstack([places, fitted])
+    extent = float(np.linalg.norm(np.ptp(everything, axis=0)))
+    longest = float(np.linalg.norm(errors, axis=1).max())
+    magnification = _rounded_down(_ARROW_SHARE * extent / longest) if longest > 0.0 and extent > 0.0 else 1.0
+    figures = (
+        _view_3d(places, errors, fitted, magnification),
+        _plane(
+            places,
+            errors,
+            magnification,
+            "volume-front",
+            (0, 1),
+            ("x, right (m)", "y, down (m)"),
+            "Seen along the axis",
+        ),
+        _plane(
+            places,
+            errors,
+            magnification,
+            "volume-side",
+            (2, 1),
+            ("z, forward (m)", "y, down (m)"),
+            "Seen from the side",
+        ),
+    )
+    return Section("volume", "Error vectors over the volume", figures)
+
+
+def _rounded_down(value: float) -> float:
+    """One significant digit, so that readers can divide in their heads."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return math.floor(value / power) * power
+
+
+def _data(places: FloatArray, errors: FloatArray) -> tuple[object, ...]:
+    names = ("x", "y", "z")
+    return (
+        *(series(f"station {n}", "m", places[:, k]) for k, n in enumerate(names)),
+        *(series(f"mean error {n}", "mm", mm_from_m(errors[:, k])) for k, n in enumerate(names)),
+    )
+
+
+def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnification: float) -> Figure:
+    length_mm = mm_from_m(np.linalg.norm(errors, axis=1))
+    worst = int(np.argmax(length_mm))
+    mean = mm_from_m(errors.mean(axis=0))
+    key = "volume-3d"
+    alt = (
+        f"{len(places)} held-out stations in the camera frame, each with its mean error vector, {magnification:g} times as "
+        f"long as true. Longest {length_mm[worst]:.3g} mm at x {places[worst, 0]:.3f} m, y {places[worst, 1]:.3f} m, "
+        f"z {places[worst, 2]:.3f} m; mean vector x {mean[0]:+.3g} mm, y {mean[1]:+.3g} mm, z {mean[2]:+.3g} mm."
+    )
+    # Plotted as (forward, right, up), so that the picture stands upright while the ticks keep the camera's axes.
+    order, sign = (2, 0, 1), np.array([1.0, 1.0, -1.0])
+    with style(key):
+        figure = canvas(height_in=4.2)
+        axes = figure.add_subplot(projection="3d")
+        for cloud, colour, marker, label in (
+            (fitted, FAINT, "x", "registration stations"),
+            (places, SERIES[0], "o", "held-out stations"),
+        ):
+            if len(cloud):
+                p = cloud[:, order] * sign
+                axes.plot(p[:, 0], p[:, 1], p[:, 2], marker, color=colour, ms=3.5, label=label)
+        p, e = places[:, order] * sign, errors[:, order] * sign * magnification
+        ends = np.stack([p, p + e], axis=1)
+        for k, (start, end) in enumerate(ends):
+            label = f"mean error × {magnification:g}" if k == 0 else "_"
+            axes.plot(*np.stack([start, end], axis=1), "-", color=ORANGE, lw=1.3, label=label)
+        axes.set_xlabel("z, forward (m)")
+        axes.set_ylabel("x, right (m)")
+        axes.set_zlabel("-y, up (m)")
+        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.82)
+        axes.view_init(elev=22, azim=-118)
+        axes.tick_params(labelsize=7.5)
+        for which in (axes.xaxis, axes.yaxis, axes.zaxis):
+            which.pane.fill = False
+            which.set_major_locator(_few_ticks())
+        legend_above(axes, 1)
+        svg = svg_of(figure, key, alt)
+    caption = (
+        f"Stations in the camera frame with their mean error vectors, drawn {magnification:g} times as long as true."
+    )
+    return Figure(key, svg, alt, caption, _data(places, errors))  # type: ignore[arg-type]
+
+
+def _few_ticks() -> object:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(nbins=4)
+
+
+def _box(points: FloatArray) -> FloatArray:
+    """Proportions of the box: true to scale, but never so flat that nothing can be seen."""
+    span = np.ptp(points, axis=0)
+    sides: FloatArray = np.maximum(span, 0.35 * max(float(span.max()), 1e-9))
+    return sides
+
+
+def _plane(
+    places: FloatArray,
+    errors: FloatArray,
+    magnification: float,
+    key: str,
+    pair: tuple[int, int],
+    labels: tuple[str, str],
+    view: str,
+) -> Figure:
+    a, b = pair
+    in_plane_mm = mm_from_m(np.hypot(errors[:, a], errors[:, b]))
+    alt = (
+        f"{view}: mean errors of {len(places)} held-out stations in the plane of {labels[0]} and {labels[1]}, "
+        f"{magnification:g} times as long as true; median {np.median(in_plane_mm):.3g} mm, longest {in_plane_mm.max():.3g} mm."
+    )
+    with style(key):
+        figure = canvas(height_in=3.6)
+        axes = figure.add_subplot()
+        axes.plot(places[:, a], places[:, b], "o", color=SERIES[0], ms=3.5, label="held-out stations")
+        arrows = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.005, "headwidth": 4.0}
+        shift = errors * magnification
+        axes.quiver(places[:, a], places[:, b], shift[:, a], shift[:, b], color=ORANGE, zorder=3, **arrows)
+        ends = places + shift
+        for k, set_limits in ((a, axes.set_xlim), (b, axes.set_ylim)):
+            low, high = min(places[:, k].min(), ends[:, k].min()), max(places[:, k].max(), ends[:, k].max())
+            margin = 0.06 * max(high - low, 1e-3)
+            set_limits(low - margin, high + margin)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.invert_yaxis()
+        axes.set_xlabel(labels[0])
+        axes.set_ylabel(labels[1])
+        legend_above(axes, 1)
+        svg = svg_of(figure, key, alt)
+    return Figure(key, svg, alt, f"{view}: mean errors × {magnification:g}.")
