@@ -19,6 +19,7 @@ from uvgs_bench.store.documents import write_atomically
 from uvgs_bench.store.run_format import line_from_sample, table_from_end, table_from_seam, tables_from_manifest
 from uvgs_bench.store.run_types import Ending, Run, RunManifest, Sample, Seam
 from uvgs_bench.store.toml_text import toml_text
+from uvgs_bench.units import NS_PER_S, ns_from_s
 
 MANIFEST, JOURNAL, WIRE_LOG, CAPTURES, SETUP = "run.toml", "samples.jsonl", "gantry.log", "captures", "setup"
 SETUP_CALIBRATION, SETUP_BEACON, SETUP_BENCH = "calibration.yaml", "beacon.toml", "bench.toml"
@@ -89,11 +90,13 @@ class RunWriter:
         return writer
 
     @classmethod
-    def reopen(cls, run: Run) -> Self:
+    def reopen(cls, run: Run, bench_now_ns: int) -> Self:
         """Take up a run that ended early; a torn last line is cut off, its end is struck out.
 
         Args:
             run: The run as read.
+            bench_now_ns: Bench time now, ns. A new bench clock may begin anew; run time goes on by the wall clock and
+                never backwards, and ``clock_offset_ns`` says how far they are apart.
 
         Returns:
             The open writer; samples of a half-done station that are appended now supersede the earlier ones.
@@ -105,6 +108,7 @@ class RunWriter:
             raise RunError("is complete, there is nothing to resume", str(run.path))
         _cut_torn_line(run.path / JOURNAL)
         writer = cls(run.path, run.manifest, run.seams, _checked_keep(run.manifest.keep, run.path))
+        writer.clock_offset_ns = _run_time_now_ns(run) - bench_now_ns
         committed = run.committed_stations()
         for sample in run.samples:
             writer._attempt[sample.station] = sample.attempt + (sample.station not in committed)
@@ -128,7 +132,6 @@ class RunWriter:
             RunError: It cannot be written.
         """
         self._seams = (*self._seams, seam)
-        self.clock_offset_ns = seam.clock_offset_ns
         self._write_manifest(None)
 
     def attempt_of(self, station: int) -> int:
@@ -277,3 +280,10 @@ def _cut_torn_line(journal: Path) -> None:
         return
     except OSError as error:
         raise RunError(f"cannot be written: {error.strerror or error}", str(journal)) from None
+
+
+def _run_time_now_ns(run: Run) -> int:
+    begun, started_ns = datetime.fromisoformat(run.manifest.created_utc), run.manifest.started_t_ns
+    elapsed_s = (datetime.now(UTC) - begun).total_seconds()
+    last_ns = max((sample.t_ns for sample in run.samples), default=started_ns)
+    return max(started_ns + ns_from_s(elapsed_s), last_ns + NS_PER_S)

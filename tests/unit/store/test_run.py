@@ -154,7 +154,8 @@ def test_a_torn_last_line_is_dropped_and_cut_on_reopening(tmp_path: Path) -> Non
     run = read_run(tmp_path / "run")
     assert len(run.samples) == 3
     assert "torn" in run.remarks[0]
-    again = RunWriter.reopen(run)
+    again = RunWriter.reopen(run, 0)
+    assert again.clock_offset_ns > run.samples[-1].t_ns
     assert again.attempt_of(0) == 0
     assert again.attempt_of(1) == 1
     again.begin_again(Seam("2026-01-01T01:00:00.000Z", 10, -5, again.sample_count, 0, 1e-5, 1e-4))
