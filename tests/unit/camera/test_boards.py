@@ -1,0 +1,180 @@
+"""Boards: their points, what is found in drawn pictures, and every misfit by its name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from uvgs_bench.camera.boards import BOARDS, Board, BoardMiss, BoardView, board_texture, find_board
+from uvgs_bench.errors import CalibrationError, ConfigError
+from uvgs_bench.store.boards import read_board
+
+pytestmark = pytest.mark.opencv
+
+REPOSITORY = Path(__file__).parents[3]
+CHESS = Board("chess", "chessboard", 9, 6, 0.025)
+CHARUCO = Board("charuco", "charuco", 9, 6, 0.030, 0.022, "DICT_5X5_100")
+# A tilted view of the board plane (m) in a 1280x960 picture (px).
+H = np.array([[2800.0, -420.0, 300.0], [260.0, 2900.0, 250.0], [0.35, 0.6, 1.0]])
+
+
+def picture(board: Board, view: np.ndarray = H, size: tuple[int, int] = (1280, 960)) -> np.ndarray:
+    """The board as a pinhole camera sees it: four times over-sampled, so that edges are shaded truly."""
+    texture, px_m, origin = board_texture(board, 64)
+    fine = 4
+    to_metres = np.array([[px_m, 0, origin[0]], [0, px_m, origin[1]], [0, 0, 1.0]])
+    # Pixel centres: fine pixel f lies at (f + 0.5) / fine - 0.5.
+    to_fine = np.array([[fine, 0, 0.5 * fine - 0.5], [0, fine, 0.5 * fine - 0.5], [0, 0, 1.0]])
+    smooth = cv2.GaussianBlur(texture, (0, 0), 1.0)
+    large = cv2.warpPerspective(
+        smooth, to_fine @ view @ to_metres, (size[0] * fine, size[1] * fine), flags=cv2.INTER_LINEAR, borderValue=255
+    )
+    return cv2.GaussianBlur(cv2.resize(large, size, interpolation=cv2.INTER_AREA), (0, 0), 0.7)
+
+
+def truth(view_m: np.ndarray, view: np.ndarray = H) -> np.ndarray:
+    mapped = np.column_stack([view_m[:, :2], np.ones(len(view_m))]) @ view.T
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO])
+def test_corners_of_a_drawn_board_lie_where_they_should(board):
+    view = find_board(picture(board), board, "drawn")
+    assert isinstance(view, BoardView)
+    assert (view.name, view.width_px, view.height_px) == ("drawn", 1280, 960)
+    assert len(view.px) == len(board.points_m)
+    error = np.linalg.norm(view.px - truth(view.board_m), axis=1)
+    # 0.1 px: corner refinement in a noise-free picture with 8-bit shading and aliasing of the texture.
+    assert error.max() < 0.1
+    # A constant shift would be an error of the pixel convention: half a pixel, not hundredths.
+    assert np.abs((view.px - truth(view.board_m)).mean(axis=0)).max() < 0.02
+
+
+@pytest.mark.parametrize("board", [CHESS, CHARUCO])
+def test_colour_and_sixteen_bit_pictures_give_the_same_corners(board):
+    grey = picture(board)
+    plain = find_board(grey, board)
+    colour = find_board(np.dstack([grey] * 3), board)
+    deep = find_board(grey.astype(np.uint16) * 16, board)
+    assert isinstance(plain, BoardView)
+    assert isinstance(colour, BoardView)
+    assert isinstance(deep, BoardView)
+    np.testing.assert_allclose(colour.px, plain.px, atol=1e-6)
+    # Stretching to the range of the picture changes grey values a little, corners by less than 0.02 px.
+    np.testing.assert_allclose(deep.px, plain.px, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", list(BOARDS))
+def test_every_kind_has_points_on_its_plane_and_a_drawing(kind):
+    board = Board("b", kind, 5, 4, 0.02, 0.015 if kind == "charuco" else 0.0, "DICT_4X4_50")
+    assert board.points_m.shape[1] == 3
+    assert (board.points_m[:, 2] == 0.0).all()
+    steps = np.diff(np.unique(board.points_m[:, 0]))
+    np.testing.assert_allclose(steps, 0.02, atol=1e-12)
+    texture, px_m, _ = board_texture(board, 32)
+    assert px_m == pytest.approx(0.02 / 32)
+    assert texture.dtype == np.uint8
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 90.0, 180.0, 270.0])
+def test_chessboard_upside_down_is_never_taken_for_mirrored(angle_deg):
+    a = np.deg2rad(angle_deg)
+    turn = np.array([[np.cos(a), -np.sin(a), 640.0], [np.sin(a), np.cos(a), 480.0], [0, 0, 1.0]])
+    centre = np.array([[2800.0, 0, -280.0], [0, 2800.0, -175.0], [0, 0, 1.0]])
+    assert isinstance(find_board(picture(CHESS, turn @ centre), CHESS), BoardView)
+
+
+def reason(image: np.ndarray, board: Board) -> str:
+    answer = find_board(image, board, "x")
+    assert isinstance(answer, BoardMiss), answer
+    assert answer.detail
+    return answer.reason
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(8, 5), (8, 6), (9, 5), (6, 4)])
+def test_smaller_pattern_inside_the_real_board_is_not_believed(columns, rows):
+    declared = replace(CHESS, columns=columns, rows=rows)
+    assert reason(picture(CHESS), declared) in ("board_larger_than_declared", "board_mismatch")
+
+
+def test_smaller_pattern_is_named_with_its_side():
+    assert reason(picture(CHESS), replace(CHESS, columns=8, rows=5)) == "board_larger_than_declared"
+
+
+def test_squares_counted_instead_of_corners_are_named():
+    answer = find_board(picture(CHESS), replace(CHESS, columns=10, rows=7))
+    assert isinstance(answer, BoardMiss)
+    assert answer.reason == "board_smaller_than_declared"
+    assert "9x6" in answer.detail
+
+
+def test_empty_and_covered_pictures_are_misses():
+    assert reason(np.full((480, 640), 127, np.uint8), CHESS) == "board_not_found"
+    assert reason(np.full((480, 640), 127, np.uint8), CHARUCO) == "no_markers"
+    covered = picture(CHESS)
+    covered[:, 500:620] = 255
+    assert reason(covered, CHESS) == "board_not_found"
+
+
+def test_half_covered_charuco_still_gives_its_visible_corners():
+    covered = picture(CHARUCO)
+    covered[:, :555] = 255
+    view = find_board(covered, CHARUCO)
+    assert isinstance(view, BoardView)
+    assert 8 <= len(view.px) < 40
+    assert np.linalg.norm(view.px - truth(view.board_m), axis=1).max() < 0.15  # px; as above, nearer to the cover
+
+
+def test_charuco_misfits_are_named():
+    grey = picture(CHARUCO)
+    assert reason(grey, replace(CHARUCO, columns=6, rows=5)) in ("board_larger_than_declared", "board_mismatch")
+    assert reason(np.ascontiguousarray(grey[:, ::-1]), CHARUCO) == "mirrored"
+    assert reason(255 - grey, CHARUCO) == "inverted"
+    assert reason(grey, replace(CHARUCO, dictionary="DICT_7X7_50")) == "no_markers"
+    even = replace(CHARUCO, columns=8, rows=6)
+    assert reason(picture(even), replace(even, legacy=True)) in ("legacy_pattern", "board_mismatch", "no_corners")
+
+
+def test_impossible_boards_are_refused():
+    with pytest.raises(CalibrationError, match="unknown board kind"):
+        Board("b", "checker", 9, 6, 0.025)
+    with pytest.raises(CalibrationError, match="3 columns"):
+        Board("b", "chessboard", 2, 6, 0.025)
+    with pytest.raises(CalibrationError, match="marker side"):
+        Board("b", "charuco", 9, 6, 0.025, 0.03, "DICT_5X5_100")
+    with pytest.raises(CalibrationError, match="unknown marker dictionary"):
+        find_board(np.zeros((100, 100), np.uint8), replace(CHARUCO, dictionary="5X5"))
+    with pytest.raises(CalibrationError, match="only 50"):
+        find_board(np.zeros((100, 100), np.uint8), replace(CHARUCO, columns=12, rows=10, dictionary="DICT_4X4_50"))
+
+
+@pytest.mark.parametrize("name", ["charuco_9x6", "chessboard_9x6"])
+def test_example_boards_can_be_read(name):
+    board = read_board(REPOSITORY / "calib" / "boards" / f"{name}.toml")
+    assert board.name == name
+    assert len(board.points_m) in (40, 54)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "said"),
+    [
+        ("square_mm = 30.0", "square_m = 0.03", "square_m", "did you mean 'square_mm'"),
+        ('kind = "charuco"', 'kind = "charucco"', "kind", "did you mean 'charuco'"),
+        ("marker_mm = 22.0", "", "marker_mm", "needs this key"),
+        ("marker_mm = 22.0", "marker_mm = 32.0", "", "marker side"),
+        ('kind = "charuco"', 'kind = "chessboard"', "marker_mm", "no markers"),
+        ("schema = 1", "schema = 9", "schema", "expected 1"),
+    ],
+)
+def test_broken_board_files_are_refused_by_key(tmp_path, old, new, key, said):
+    text = (REPOSITORY / "calib" / "boards" / "charuco_9x6.toml").read_text()
+    assert old in text
+    path = tmp_path / "b.toml"
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ConfigError, match=said) as caught:
+        read_board(path)
+    assert caught.value.key == key

@@ -1,0 +1,149 @@
+"""Chessboards: inner corners of black and white squares.
+
+Corners come from OpenCV's classic detector, refined with a window that stays clear of the neighbouring corners; its
+sector-based detector is the second try. Both also find a small pattern inside a larger board, so the ring of places
+where a larger board would have its next corners is looked at, too.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from uvgs_bench.camera.boards import Board
+
+# A wider refining window gains nothing and reaches into uneven light.
+_MAX_WINDOW_PX = 11
+
+
+def points(board: Board) -> FloatArray:
+    """Inner corners, row by row; the origin is the first one."""
+    y, x = np.mgrid[0 : board.rows, 0 : board.columns]
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * board.square_m
+
+
+def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
+    """Find all inner corners, or say why not."""
+    px = _find_size(grey, board.columns, board.rows)
+    if px is None:
+        return _explain(grey, board)
+    grid = px.reshape(board.rows, board.columns, 2)
+    if _is_irregular(grid):
+        return (
+            "board_mismatch",
+            f"corners were found, but not in even steps: not a board of {board.columns}x{board.rows}?",
+        )
+    along, across = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if along[0] * across[1] - along[1] * across[0] < 0.0:
+        # The detector may count a row from the right; a board seen from its front is never mirrored.
+        grid = grid[:, ::-1]
+    side = _side_that_goes_on(grey, grid)
+    if side:
+        return (
+            "board_larger_than_declared",
+            f"the pattern goes on {side}: the board has more than {board.columns}x{board.rows} inner corners",
+        )
+    return np.ascontiguousarray(grid.reshape(-1, 2)), np.arange(board.columns * board.rows)
+
+
+def draw(board: Board, px_per_square: int) -> tuple[NDArray[np.uint8], tuple[float, float]]:
+    """Squares around the inner corners, black first."""
+    y, x = np.mgrid[0 : board.rows + 1, 0 : board.columns + 1]
+    squares = np.where((x + y) % 2 == 0, 0, 255).astype(np.uint8)
+    return np.kron(squares, np.ones((px_per_square, px_per_square), np.uint8)), (-1.0, -1.0)
+
+
+def _find_size(grey: NDArray[np.uint8], columns: int, rows: int) -> FloatArray | None:
+    import cv2
+
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
+    is_found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
+    if is_found:
+        px = np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+        window = min(_MAX_WINDOW_PX, int(_smallest_spacing(px, columns, rows) / 2.0) - 1)
+        if window < 1:
+            return None
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
+        refined = cv2.cornerSubPix(grey, px.reshape(-1, 1, 2), (window, window), (-1, -1), stop)
+        return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+    is_found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if is_found else None
+
+
+def _is_irregular(grid: FloatArray) -> bool:
+    """Whether a row or column skips corners: perspective changes the step a little, a skipped corner doubles it."""
+    for lines in (grid, grid.swapaxes(0, 1)):
+        bend = np.linalg.norm(lines[2:] - 2.0 * lines[1:-1] + lines[:-2], axis=2)
+        step = 0.5 * np.linalg.norm(lines[2:] - lines[:-2], axis=2)
+        if (bend > 0.4 * step).any():
+            return True
+    return False
+
+
+def _smallest_spacing(px: NDArray[np.float32], columns: int, rows: int) -> float:
+    grid = px.reshape(rows, columns, 2)
+    steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
+    return float(min(steps))
+
+
+def _explain(grey: NDArray[np.uint8], board: Board) -> tuple[str, str]:
+    """Look for the sizes people declare by mistake: squares instead of inner corners, one too many or too few."""
+    import cv2
+
+    columns, rows = board.columns, board.rows
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE + cv2.CALIB_CB_FAST_CHECK
+    for step, reason in ((-1, "board_smaller_than_declared"), (1, "board_larger_than_declared")):
+        for other in ((columns + step, rows + step), (columns + step, rows), (columns, rows + step)):
+            if min(other) >= 3 and cv2.findChessboardCorners(grey, other, flags=flags)[0]:
+                hint = ": count inner corners, not squares" if step < 0 else ""
+                return reason, f"no {columns}x{rows} inner corners, but {other[0]}x{other[1]}{hint}"
+    return "board_not_found", f"no chessboard of {columns}x{rows} inner corners"
+
+
+def _side_that_goes_on(grey: NDArray[np.uint8], grid: FloatArray) -> str:
+    """Name of a side beyond which the chessboard continues, or nothing.
+
+    One step beyond the last row of inner corners a board ends in its margin: the outer two quadrants there are alike.
+    On a larger board there is another crossing, with four quadrants of alternating brightness.
+    """
+    inner = np.array([_quadrants(grey, grid, i, j) for i in (1, -2) for j in (1, -2)])
+    contrast = float(np.nanmedian(_alternation(inner)))
+    if not contrast > 0.0:
+        return ""
+    sides = {"above": grid, "below": grid[::-1], "to the left": grid.swapaxes(0, 1)}
+    sides["to the right"] = grid.swapaxes(0, 1)[::-1]
+    for name, lines in sides.items():
+        beyond = 3.0 * lines[0] - 3.0 * lines[1] + lines[2]
+        extended = np.concatenate([(2.0 * beyond - lines[0])[None], beyond[None], lines])
+        seen = _alternation(np.array([_quadrants(grey, extended, 1, j) for j in range(1, lines.shape[1] - 1)]))
+        seen = seen[np.isfinite(seen)]
+        if len(seen) >= 2 and float(np.mean(seen > 0.5 * contrast)) > 0.7:
+            return name
+    return ""
+
+
+def _quadrants(grey: NDArray[np.uint8], grid: FloatArray, i: int, j: int) -> FloatArray:
+    """Mean brightness of the four squares that meet at a grid point; NaN outside the picture."""
+    height, width = grey.shape
+    point = grid[i, j]
+    out = np.full(4, np.nan)
+    down, right = 0.5 * (grid[i + 1, j] - grid[i - 1, j]), 0.5 * (grid[i, j + 1] - grid[i, j - 1])
+    for k, (a, b) in enumerate(((1, 1), (1, -1), (-1, -1), (-1, 1))):
+        x, y = point + 0.3 * (a * down + b * right)
+        if 1.0 <= x < width - 2.0 and 1.0 <= y < height - 2.0:
+            column, row = int(x + 0.5), int(y + 0.5)
+            out[k] = grey[row - 1 : row + 2, column - 1 : column + 2].mean()
+    return out
+
+
+def _alternation(quadrants: FloatArray) -> FloatArray:
+    """How strongly neighbouring quadrants alternate: the smallest step that has the right sign, in grey values."""
+    steps = np.roll(quadrants, -1, axis=1) - quadrants
+    signed = steps * np.array([1.0, -1.0, 1.0, -1.0])
+    lowest: FloatArray = np.maximum(signed.min(axis=1), (-signed).min(axis=1))
+    return lowest
