@@ -19,6 +19,8 @@ from uvgs_bench.sessions.procedure import Procedure
 
 # For time estimates only: a typical camera delivers 30 pictures per second.
 _CAPTURE_S = 1.0 / 30.0
+# A controller knows no smaller step than this, m or rad.
+_AT_REST = 1e-9
 _DEFAULT_OVERSHOOT_FILE_UNITS = 1.0
 
 
@@ -142,10 +144,10 @@ def move_duration_s(axes: Sequence[Axis], start: FloatArray, end: FloatArray, pr
     is_linear = np.array([axis.kind == "linear" for axis in axes])
     linear_m, rotary_rad = float(np.linalg.norm(step[is_linear])), float(np.linalg.norm(step[~is_linear]))
     length, feed = (linear_m, procedure.feed_mps) if linear_m > 0.0 else (rotary_rad, procedure.feed_radps or np.inf)
-    if length == 0.0:
+    moving = step > _AT_REST
+    if not moving.any():
         return 0.0
     share = step / length
-    moving = share > 0.0
     speed = min(feed, float(np.min(np.array([axis.max_speed for axis in axes])[moving] / share[moving])))
     acceleration = float(np.min(np.array([axis.acceleration for axis in axes])[moving] / share[moving]))
     if length >= speed * speed / acceleration:
