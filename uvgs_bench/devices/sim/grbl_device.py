@@ -1,9 +1,9 @@
 """A mock GRBL 1.1 controller: a state machine in bench time that answers bytes with bytes and moves motors.
 
-It has no thread and no clock: the caller says what time it is, and time never runs backwards. The firmware's main loop is a
-generator that yields until when it sleeps; real-time bytes act at once, whatever the main loop is doing. Simplified against
-the real one: motions stop between blocks; homing runs into its switches without the hard stop's bounce; hard limits,
-overrides, the door, probing, startup lines and work offsets are absent.
+It has no thread and no clock: the caller says what time it is, and time never runs backwards. The firmware's main loop
+is a generator that yields until when it sleeps; real-time bytes act at once, whatever the main loop is doing. Simplified
+against the real one: motions stop between blocks; switches close without bounce; hard limits, overrides, the door,
+probing, startup lines and work offsets are absent.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class GrblDevice:
         version: str = "1.1h.20190830",
     ) -> None:
         self.letters = letters
-        self.kinds: tuple[AxisKind, ...] = tuple(kinds or ("linear",) * len(letters))
+        self.kinds: tuple[AxisKind, ...] = tuple(kinds) if kinds else ("linear",) * len(letters)
         self.settings = settings or factory_settings(len(letters))
         self._switches = np.array(switches_mm, dtype=np.float64)
         self._boot_s = boot_s
@@ -116,7 +116,9 @@ class GrblDevice:
             kinds=[axis.kind for axis in axes],
             settings=settings_for_axes(axes),
             switches_mm=[inf if axis.upper > 0.0 else 0.0 for axis in axes],
-            start_mm=[0.0 if axis.upper > 0.0 else unit(0.25 * axis.lower) for axis, unit in zip(axes, units, strict=True)],
+            start_mm=[
+                0.0 if axis.upper > 0.0 else unit(0.25 * axis.lower) for axis, unit in zip(axes, units, strict=True)
+            ],
             boot_s=boot_s,
         )
 
@@ -447,9 +449,7 @@ class GrblDevice:
         limited = travel > 0.0
         # Half a step: the real one compares single-precision numbers it has rounded itself.
         slack = 0.5 / self.steps_per_mm
-        return bool(
-            self.settings[20] and np.any(limited & ((target > slack) | (target < -travel - slack)))
-        )
+        return bool(self.settings[20] and np.any(limited & ((target > slack) | (target < -travel - slack))))
 
     def _plan(self, action: Action, *, is_jog: bool) -> None:
         assert action.target is not None

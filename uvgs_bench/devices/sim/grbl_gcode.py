@@ -1,7 +1,7 @@
 """The G-code a mock GRBL 1.1 understands, refused with the numbers the real one gives.
 
 Understood: G0 G1 G4 G17 G20 G21 G40 G49 G53 G54 G90 G91 G94, M2 M3 M4 M5 M8 M9 M30, F S T N P and the axis letters.
-Everything else (arcs, probing, stored offsets) is refused as unsupported, error 20; work offsets are therefore always 0.
+Everything else (arcs, probing, stored offsets) is refused as unsupported, error 20; so work offsets are always 0.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _JOG_WORDS = {"G20", "G21", "G90", "G91", "G53"}
 _NEVER_NEGATIVE = "FNPST"
 
 
-class Refused(Exception):  # noqa: N818 - a refusal is the answer, not a failure of the mock
+class Refused(Exception):
     """A line was refused.
 
     Args:

@@ -52,8 +52,8 @@ def settings_for_axes(axes: Sequence[Axis]) -> dict[int, float]:
     """The metrology settings with the travel, speed and acceleration of given axes.
 
     Args:
-        axes: The axes. One whose upper bound is above 0 has no switch and no soft limit (travel 0): the machine space of
-            the controller is negative.
+        axes: The axes. One whose upper bound is above 0 has no switch and no soft limit (travel 0), since the machine
+            space of the controller is negative.
 
     Returns:
         Values by number, in the controller's units.

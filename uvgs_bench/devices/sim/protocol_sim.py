@@ -1,8 +1,8 @@
 """pyserial handler of ``sim://``: a serial port whose other end is a mock GRBL controller.
 
 ``sim://NAME`` is the controller of the live simulated bench of that name and keeps its time; ``sim://?speed=N`` is a
-controller of its own with three axes of 200 mm, N times faster than real time. Opening resets the controller, as opening the
-tty of an Arduino does.
+controller of its own with three axes of 200 mm, N times faster than real time. Opening resets the controller, as opening
+the tty of an Arduino does.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ class Serial(SerialBase):  # type: ignore[misc]
     """The port. Bytes pass in bench time; ``timeout`` is real time, as for any port."""
 
     BAUDRATES = (115200,)
+    is_open: bool
 
     def open(self) -> None:
         """Open the port and reset the controller. Raises SerialException for an unknown bench or option."""

@@ -1,0 +1,115 @@
+"""What the numbers of GRBL's ``error:N`` and ``ALARM:N`` mean, by dialect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+_ERRORS = {
+    1: "a word must begin with a letter",
+    2: "a number is missing or malformed",
+    3: "unknown $ line",
+    4: "a value must not be negative",
+    5: "homing is switched off ($22=0)",
+    6: "the step pulse must be at least 3 us",
+    7: "reading the EEPROM failed; defaults were restored",
+    8: "only possible when the controller is idle",
+    9: "G-code is locked out by an alarm or a jog",
+    10: "soft limits need homing ($22=1)",
+    11: "the line is too long",
+    12: "the step rate would be too high",
+    13: "the safety door is open",
+    14: "the startup line is too long to be stored",
+    15: "the jog target is beyond the travel",
+    16: "a jog line is missing '=' or has forbidden words",
+    17: "laser mode needs PWM",
+    20: "unsupported G-code",
+    21: "two words of one modal group",
+    22: "no feed is set",
+    23: "an integer is needed",
+    24: "two words use the axes",
+    25: "a word is repeated",
+    26: "no axis word",
+    27: "the line number is out of range",
+    28: "a value is missing",
+    29: "G59.1 to G59.3 are not supported",
+    30: "G53 needs G0 or G1",
+    31: "axis words that nothing uses",
+    32: "an arc needs axis words in its plane",
+    33: "the motion target is invalid",
+    34: "the arc radius is invalid",
+    35: "an arc needs offset words in its plane",
+    36: "value words that nothing uses",
+    37: "G43.1 on an axis that is not the tool axis",
+    38: "the tool number is too large",
+}
+_GRBLHAL_ERRORS = {
+    39: "a value is out of range",
+    40: "a tool change is pending",
+    43: "the feed is above the maximum",
+    45: "a limit switch is engaged",
+    46: "homing is required",
+    50: "the emergency stop is pressed",
+    51: "a motor reports a fault",
+    52: "the setting's value is out of range",
+    79: "not allowed in a critical event",
+}
+_ALARMS = {
+    1: "a hard limit switch was hit; the position is lost",
+    2: "the target is beyond the soft limits",
+    3: "reset while moving; the position is lost",
+    4: "the probe was not in its start state",
+    5: "the probe did not touch",
+    6: "homing was aborted by a reset",
+    7: "homing was aborted by the safety door",
+    8: "homing: the pull-off did not clear the switch",
+    9: "homing: no limit switch was found",
+    10: "homing: the second motor's switch was not found",
+}
+_GRBLHAL_ALARMS = {
+    10: "the emergency stop is pressed",
+    11: "homing is required",
+    12: "a limit switch is engaged",
+    13: "probe protection was triggered",
+    14: "the spindle did not reach its speed",
+    16: "the self-test failed",
+    17: "a motor reports a fault",
+    18: "homing failed",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """A firmware that speaks GRBL's protocol, as far as it differs.
+
+    Args:
+        name: ``grbl`` or ``grblHAL``.
+        errors: Meaning of error numbers.
+        alarms: Meaning of alarm numbers.
+        has_jog: Whether ``$J=`` exists.
+    """
+
+    name: str
+    errors: dict[int, str]
+    alarms: dict[int, str]
+    has_jog: bool
+
+    def meaning(self, kind: Literal["error", "alarm"], code: int) -> str:
+        """What a number means, in words."""
+        table = self.errors if kind == "error" else self.alarms
+        return table.get(code, f"a number that {self.name} does not document")
+
+
+def find_dialect(identity: dict[str, str]) -> Dialect:
+    """Tell the dialect from the answer to ``$I``.
+
+    Args:
+        identity: The bracketed answers by name, for example ``{"VER": "1.1h.20190830:", "OPT": "V,15,128"}``.
+
+    Returns:
+        The dialect; plain grbl when nothing says otherwise. Jogs exist from grbl 1.1 on.
+    """
+    if identity.get("FIRMWARE", "").lower() == "grblhal":
+        return Dialect("grblHAL", _ERRORS | _GRBLHAL_ERRORS, _ALARMS | _GRBLHAL_ALARMS, has_jog=True)
+    version = identity.get("VER", "")
+    return Dialect("grbl", _ERRORS, _ALARMS, has_jog=not version.startswith(("0.", "1.0")))

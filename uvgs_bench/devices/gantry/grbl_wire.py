@@ -1,0 +1,122 @@
+"""The serial line to a GRBL controller: bytes in and lines out, everything logged, a vanished port told from silence."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import serial
+
+from uvgs_bench.devices.clock import Clock
+from uvgs_bench.devices.gantry.gantry import WireLog
+from uvgs_bench.devices.gantry.grbl_protocol import check_line
+from uvgs_bench.errors import GantryError, GantryLost
+
+_SIMULATED_PORTS = "uvgs_bench.devices.sim"
+"""Where pyserial finds ``sim://``: a name, not an import, since real devices do not know their twins."""
+
+_READ_S = 0.002
+_WRITE_S = 2.0
+_LONGEST_LINE = 2048
+
+_Result = TypeVar("_Result")
+
+
+class GrblWire:
+    """An open port.
+
+    A read returns what has arrived before it looks at its deadline, so that a busy machine never makes a controller that
+    answered look silent.
+
+    Args:
+        address: A device file or a pyserial URL.
+        clock: Bench time.
+        log: Called for everything on the wire.
+
+    Raises:
+        GantryError: The port cannot be opened.
+    """
+
+    def __init__(self, address: str, *, clock: Clock, log: WireLog) -> None:
+        self.address = address
+        self.is_lost = False
+        self._clock = clock
+        self._log = log
+        self._buffer = bytearray()
+        if _SIMULATED_PORTS not in serial.protocol_handler_packages:
+            serial.protocol_handler_packages.append(_SIMULATED_PORTS)
+        try:
+            self._port: Any = serial.serial_for_url(
+                address, baudrate=115200, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True
+            )
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise GantryError(_why_not_open(error), address) from None
+
+    def remark(self, text: str) -> None:
+        """Put a remark into the log."""
+        self._log(self._clock.now_ns(), "#", text)
+
+    def send_line(self, line: str) -> None:
+        """Send a line and its end in one write. Raises GantryLost, and ValueError for a line that must not be sent."""
+        check_line(line)
+        self._log(self._clock.now_ns(), ">", line)
+        self._on_port(lambda: self._port.write(line.encode("ascii") + b"\n"))
+
+    def send_byte(self, byte: int) -> None:
+        """Send a real-time byte. Raises GantryLost."""
+        self._log(self._clock.now_ns(), ">!", f"0x{byte:02X}")
+        self._on_port(lambda: self._port.write(bytes([byte])))
+
+    def read_line(self, deadline_ns: int) -> str | None:
+        """The next received line that is not empty.
+
+        Args:
+            deadline_ns: Bench time until which to wait, ns.
+
+        Returns:
+            The line without its end, or None when none came.
+
+        Raises:
+            GantryLost: The port vanished.
+            GantryError: Bytes come without any line end.
+        """
+        while True:
+            while (end := self._buffer.find(b"\n")) >= 0:
+                line = self._buffer[:end].decode("ascii", errors="replace").strip()
+                del self._buffer[: end + 1]
+                if line:
+                    self._log(self._clock.now_ns(), "<", line)
+                    return line
+            if len(self._buffer) > _LONGEST_LINE:
+                raise GantryError("received bytes without line ends; expected GRBL at 115200 baud", self.address)
+            self._buffer += self._on_port(lambda: self._port.read(self._port.in_waiting or 1))
+            if b"\n" not in self._buffer and self._clock.now_ns() >= deadline_ns:
+                return None
+
+    def close(self) -> None:
+        """Release the port. Safe to call twice."""
+        try:
+            self._port.close()
+        except (serial.SerialException, OSError):
+            self.is_lost = True
+
+    def _on_port(self, action: Callable[[], _Result]) -> _Result:
+        try:
+            return action()
+        except (serial.SerialException, OSError, TypeError) as error:
+            # pyserial raises TypeError when its file descriptor was closed under it.
+            self.is_lost = True
+            self.remark(f"port lost: {error}")
+            raise GantryLost("the port vanished; the position is lost", self.address) from None
+
+
+def _why_not_open(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return "no such port; is the controller plugged in? `uvgs doctor` lists the ports"
+    if number in (errno.EACCES, errno.EPERM):
+        return "no permission to open the port; is the user in the group that owns it (dialout)?"
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return "the port is in use by another program"
+    return f"the port cannot be opened: {' '.join(str(error).split())}"
