@@ -150,7 +150,7 @@ def _components_of_segmentation(raw: ImageArray, config: UvgsConfig) -> FloatArr
         x, y, w, h, area = (int(v) for v in stats[i])
         part = np.ascontiguousarray((labels[y : y + h, x : x + w] == i).astype(np.uint8))
         contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        # The contour runs through pixel centres; the outline lies half a pixel outside, which adds pi to any convex one.
+        # The contour runs through pixel centres; the outline lies half a pixel outside: pi more for any convex one.
         perimeter = (cv2.arcLength(contours[0], True) + pi) / np.sqrt(sx * sy)
         raw_area = area / (sx * sy)
         cx, cy = (centres[i][0] + 0.5) / sx - 0.5, (centres[i][1] + 0.5) / sy - 0.5

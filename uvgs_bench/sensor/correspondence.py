@@ -1,7 +1,7 @@
 """Stage 4: which blob is which LED.
 
-``scored`` tries every labeling: P3P on triples, the other LEDs by prediction, refinement, emission cones; it answers the
-best, the best that is truly different, and how far apart they are. ``paper`` sorts by the longest edge and signs
+``scored`` tries every labeling: P3P on triples, the other LEDs by prediction, refinement, emission cones; it answers
+the best, the best that is truly different, and how far apart they are. ``paper`` sorts by the longest edge and signs
 (section 2.4); it holds only while the longest projected edge is the longest edge.
 """
 

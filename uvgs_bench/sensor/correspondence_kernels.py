@@ -50,7 +50,7 @@ def _assign_rest(
     gate_px: float,
     assignment: NDArray[np.int64],
 ) -> int:
-    """Give each unassigned lit LED the nearest free blob within the gate. Returns assigned count, or -1 if impossible."""
+    """Give each unassigned lit LED the nearest free blob within the gate. Returns the number assigned, or -1."""
     count = 0
     for led in range(leds.shape[0]):
         lit = _is_lit(R, t, leds[led], axes[led], cos_loose[led])
@@ -162,7 +162,7 @@ def search_labelings(
                 if d01 > reach_px:
                     continue
                 for b2 in range(m):
-                    if b2 == b0 or b2 == b1:
+                    if b2 in (b0, b1):
                         continue
                     d02 = sqrt((px[b0, 0] - px[b2, 0]) ** 2 + (px[b0, 1] - px[b2, 1]) ** 2)
                     d12 = sqrt((px[b1, 0] - px[b2, 0]) ** 2 + (px[b1, 1] - px[b2, 1]) ** 2)

@@ -275,7 +275,7 @@ def measure_blobs(
     """Centroid of each blob on raw pixels, weighted by intensity above local background and a Gaussian window.
 
     The window sits on the centroid it finds (a fixed point), so a symmetric spot has no bias from where it is cut off,
-    and a constant background error has no influence. Its width matches the spot, which is close to optimal against noise.
+    and a constant background error has no influence. Its width matches the spot: close to optimal.
 
     Args:
         image: Brightness, shape (H, W).

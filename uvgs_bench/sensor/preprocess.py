@@ -42,7 +42,8 @@ def intensity(image: ImageArray) -> ImageArray:
         Shape (H, W), C-contiguous, same type.
     """
     if image.ndim == 2:
-        return np.ascontiguousarray(image)
+        flat: ImageArray = image if image.flags.c_contiguous else image.copy()
+        return flat
     import cv2
 
     blue, green, red = cv2.split(image)

@@ -74,16 +74,22 @@ def select_blobs(blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConf
     bounds = distance_bounds(beacon.positions_m, focal_px, config)
     kept = blobs.take(np.flatnonzero(keep))
     kept = kept.take(np.argsort(-kept.peak_dn * kept.area_px2, kind="stable"))
+    if len(kept) < _NEEDED:
+        return _too_few(kept, blobs, dropped)
     near = _distance_gate(kept.centroid_px, bounds)
     if not near.all():
         dropped.append(f"{int((~near).sum())} by distance")
         kept = kept.take(np.flatnonzero(near))
-    why = f" ({', '.join(dropped)})" if dropped else ""
     if len(kept) < _NEEDED:
-        return NoBlobs("selection", "too_few_blobs", f"{len(kept)} of {len(blobs)} blobs kept, needs {_NEEDED}{why}")
+        return _too_few(kept, blobs, dropped)
     if len(kept) > config.max_blobs:
-        return NoBlobs("selection", "too_many_blobs", f"{len(kept)} candidates, at most {config.max_blobs}{why}")
+        return NoBlobs("selection", "too_many_blobs", f"{len(kept)} candidates, at most {config.max_blobs}")
     return kept
+
+
+def _too_few(kept: Blobs, blobs: Blobs, dropped: list[str]) -> NoBlobs:
+    why = f" (dropped {', '.join(dropped)})" if dropped else ""
+    return NoBlobs("selection", "too_few_blobs", f"{len(kept)} of {len(blobs)} blobs kept, needs {_NEEDED}{why}")
 
 
 def _hue_gate(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

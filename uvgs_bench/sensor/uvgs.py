@@ -8,7 +8,6 @@ import numpy as np
 
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.calibration import Calibration
-from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.sensor.blobs import Blobs, NoBlobs, find_blobs
 from uvgs_bench.sensor.capture import Capture
@@ -68,11 +67,7 @@ class Uvgs:
             CalibrationError: The picture has another size than the calibration.
         """
         lens = self._lens
-        if (capture.width_px, capture.height_px) != (lens.width_px, lens.height_px):
-            raise CalibrationError(
-                f"{capture.source or 'the picture'} is {capture.width_px}x{capture.height_px} px, but the calibration "
-                f"of {self.calibration.camera_name or 'the camera'} is for {lens.width_px}x{lens.height_px} px"
-            )
+        self.calibration.check_size(capture.width_px, capture.height_px, capture.source or "the picture")
         stage_s: dict[str, float] = {}
         start = self._clock()
 
@@ -142,7 +137,7 @@ class Uvgs:
         residual = np.full((n, 2), np.nan)
         led_px[seen] = chosen.centroid_px[match.blob_of_led[seen]]
         residual[seen] = solution.residual_px
-        covariance: FloatArray = np.linalg.inv(solution.information)
+        covariance = np.asarray(np.linalg.inv(solution.information), dtype=np.float64)
         if self.beacon.covariance_m2 is not None:
             sigma = chosen.sigma_px[match.blob_of_led[seen]]
             covariance = covariance + self._beacon_part(solution, covariance, seen, sigma)
