@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from uvgs_bench.devices.bench import Bench, BenchFile
+from uvgs_bench.devices.sim.passing import PassingBeacon
+from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import ConfigError
+from uvgs_bench.store.beacons import read_beacon
 from uvgs_bench.store.documents import read_document
 
 
@@ -40,3 +43,20 @@ def read_bench(path: Path) -> Bench:
         simulated=file.simulated,
         path=str(path),
     )
+
+
+def read_passing_beacon(path: Path, seed: int | None = None) -> PassingBeacon:
+    """The scene of ``sim:bench.toml``: the file's camera and beacon, the beacon passing before the camera.
+
+    Args:
+        path: The bench file.
+        seed: Seed in place of the truth's.
+
+    Returns:
+        The scene.
+
+    Raises:
+        ConfigError: As ``read_bench`` and ``read_beacon``, or a truth that does not fit the beacon.
+    """
+    bench = read_bench(path)
+    return PassingBeacon(bench.simulated or SimulatedTruth(), read_beacon(Path(bench.beacon_file)), seed)

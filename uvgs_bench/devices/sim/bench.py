@@ -12,7 +12,7 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.devices.clock import ScaledClock
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.devices.sim.truth import SimulatedTruth
-from uvgs_bench.errors import CalibrationError, CaptureError, ConfigError
+from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import m_from_mm, rad_from_mrad
 
@@ -28,8 +28,8 @@ _numbers = itertools.count(1)
 class SimulatedBench:
     """The true bench. Where things are depends on bench time and the controller only, never on the speed.
 
-    Two simplifications: a move shorter than the backlash takes all of it up, and an axis changes its stopping error at
-    the moment it starts to move.
+    Two simplifications: a move shorter than the backlash takes all of it up, and every stop draws a new stopping error
+    for every axis, which holds until the next stop.
 
     Args:
         truth: What is true.
@@ -146,17 +146,14 @@ def simulated_bench(name: str) -> SimulatedBench:
         The bench.
 
     Raises:
-        CaptureError: No bench of this name is live in this process.
+        KeyError: No bench of this name is live in this process.
     """
-    if name not in _live:
-        there = ", ".join(_live) or "none"
-        raise CaptureError(f"no simulated bench '{name}' is running here; running: {there}", f"sim:{name}")
     return _live[name]
 
 
-def is_live(name: str) -> bool:
-    """Whether a bench of this name is live in this process."""
-    return name in _live
+def live_benches() -> tuple[str, ...]:
+    """Names of the benches that are live in this process."""
+    return tuple(_live)
 
 
 def start_simulated_bench(
