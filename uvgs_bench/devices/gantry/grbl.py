@@ -1,15 +1,15 @@
 """The driver for gantries whose controller speaks GRBL 1.1.
 
-Rules it keeps: opening a port resets the controller, so the position is unknown until homed; one line is under way at a
-time and has exactly one reply; ``ok`` does not mean arrived; an alarm or an unexpected welcome means that the position is
-lost; a target is checked against the envelope before a byte is sent; positions are trusted only at rest.
+Rules it keeps: opening a port resets the controller, so the position is unknown until homed; one line is under way at
+a time and has exactly one reply; ``ok`` does not mean arrived; an alarm or an unexpected welcome loses the position;
+a target is checked against the envelope before a byte is sent; positions are trusted only at rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -211,7 +211,7 @@ class GrblGantry:
         if self._is_at(start.position, target):
             return start
         plan = protocol.plan_path(self.axes, target - start.position, speed)
-        style = "jog" if self._dialect.has_jog else "line"
+        style: Literal["jog", "line"] = "jog" if self._dialect.has_jog else "line"
         try:
             line = protocol.write_move(self.axes, target, plan.feed_per_min, style=style)
         except ValueError as error:
@@ -426,9 +426,9 @@ class GrblGantry:
 
     def _machine_position(self, report: protocol.Report) -> FloatArray | None:
         machine = report.machine
-        if machine is None and self._offset is not None and report.work is not None:
-            if report.work.shape == self._offset.shape:
-                machine = report.work + self._offset
+        offset, work = self._offset, report.work
+        if machine is None and offset is not None and work is not None and work.shape == offset.shape:
+            machine = work + offset
         if machine is not None and machine.shape != (len(self.axes),):
             raise GantryError(f"the controller reports {machine.size} axes, the bench has {len(self.axes)}", self.port)
         return machine

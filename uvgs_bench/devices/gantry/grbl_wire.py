@@ -1,4 +1,4 @@
-"""The serial line to a GRBL controller: bytes in and lines out, everything logged, a vanished port told from silence."""
+"""The serial line to a GRBL controller: bytes in, lines out, all of it logged, a vanished port told from silence."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _Result = TypeVar("_Result")
 class GrblWire:
     """An open port.
 
-    A read returns what has arrived before it looks at its deadline, so that a busy machine never makes a controller that
-    answered look silent.
+    A read takes what has arrived before it looks at its deadline, so that on a busy machine a controller that answered
+    never looks silent.
 
     Args:
         address: A device file or a pyserial URL.

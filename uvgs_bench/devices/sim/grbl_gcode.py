@@ -25,6 +25,9 @@ _GROUPS = {
 }  # fmt: skip
 _JOG_WORDS = {"G20", "G21", "G90", "G91", "G53"}
 _NEVER_NEGATIVE = "FNPST"
+LINE_CHARACTERS = 79
+OVERLONG = "\x00"
+"""Stands for a line that did not fit the line buffer."""
 
 
 class Refused(Exception):
@@ -103,8 +106,7 @@ def read_line(line: str, modal: Modal, letters: Sequence[str], position: FloatAr
     for code, group in codes.items():
         if is_jog and code not in _JOG_WORDS:
             raise Refused(16)
-        if group in ("motion", "units", "distance", "spindle", "coolant"):
-            modal = replace(modal, **{group: code})
+        modal = _with_code(modal, group, code)
     scale = MM_PER_INCH if modal.units == "G20" else 1.0
     if "F" in values:
         modal = replace(modal, feed_mm_min=values["F"] * scale)
@@ -150,7 +152,7 @@ def _words(line: str, letters: Sequence[str]) -> tuple[dict[str, str], dict[str,
         value = float(number)
         if letter in "GM":
             _add_code(f"{letter}{value:g}", codes)
-        elif letter not in "FNPST" and letter not in letters:
+        elif letter not in _NEVER_NEGATIVE and letter not in letters:
             raise Refused(36 if letter in "IJKLR" else 20)
         elif letter in values:
             raise Refused(25)
@@ -170,6 +172,21 @@ def _add_code(code: str, codes: dict[str, str]) -> None:
     codes[code] = group
 
 
+def _with_code(modal: Modal, group: str, code: str) -> Modal:
+    match group:
+        case "motion":
+            return replace(modal, motion=code)
+        case "units":
+            return replace(modal, units=code)
+        case "distance":
+            return replace(modal, distance=code)
+        case "spindle":
+            return replace(modal, spindle=code)
+        case "coolant":
+            return replace(modal, coolant=code)
+    return modal
+
+
 def _dwell(codes: dict[str, str], values: dict[str, float]) -> float | None:
     if "G4" not in codes:
         if "P" in values:
@@ -178,3 +195,37 @@ def _dwell(codes: dict[str, str], values: dict[str, float]) -> float | None:
     if "P" not in values:
         raise Refused(28)
     return values["P"]
+
+
+class LineReader:
+    """Assembles lines as the firmware does: blanks and comments do not count, CR and LF each end one."""
+
+    def __init__(self) -> None:
+        self._text = ""
+        self._comment = ""
+        self._is_overlong = False
+
+    def push(self, byte: int) -> str | None:
+        """Take one character.
+
+        Args:
+            byte: Its code.
+
+        Returns:
+            The line in upper case when it ended, ``OVERLONG`` for one that did not fit, otherwise None.
+        """
+        character = chr(byte)
+        if character in "\r\n":
+            line = OVERLONG if self._is_overlong else self._text
+            self._text, self._comment, self._is_overlong = "", "", False
+            return line
+        if self._comment:
+            if self._comment == "(" and character == ")":
+                self._comment = ""
+        elif character in "(;":
+            self._comment = character
+        elif character > " " and character != "/":
+            self._is_overlong = self._is_overlong or len(self._text) >= LINE_CHARACTERS
+            if not self._is_overlong:
+                self._text += character.upper()
+        return None

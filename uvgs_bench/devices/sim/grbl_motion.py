@@ -184,7 +184,7 @@ def run_into(start: FloatArray, end: FloatArray, start_s: float, speed: float, a
     peak = min(speed, sqrt(2.0 * length * acceleration))
     ramp_s, ramp = (0.0, 0.0) if acceleration == inf else (peak / acceleration, 0.5 * peak * peak / acceleration)
     cruise_s = max(0.0, (length - ramp) / peak)
-    phases = (Phase(start_s + ramp_s, ramp, peak, 0.0),)
+    phases: tuple[Phase, ...] = (Phase(start_s + ramp_s, ramp, peak, 0.0),)
     if ramp_s > 0.0:
         phases = (Phase(start_s, 0.0, 0.0, acceleration), *phases)
     return Motion(

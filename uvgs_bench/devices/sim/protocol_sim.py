@@ -1,8 +1,8 @@
 """pyserial handler of ``sim://``: a serial port whose other end is a mock GRBL controller.
 
 ``sim://NAME`` is the controller of the live simulated bench of that name and keeps its time; ``sim://?speed=N`` is a
-controller of its own with three axes of 200 mm, N times faster than real time. Opening resets the controller, as opening
-the tty of an Arduino does.
+controller of its own with three axes of 200 mm, N times faster than real time. Opening resets the controller, as it
+does for an Arduino.
 """
 
 from __future__ import annotations

@@ -1,0 +1,71 @@
+"""The motors of a mock controller, with the motions they made, so that the past can be asked too."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+import numpy as np
+
+from uvgs_bench.devices.sim.grbl_motion import Motion, trapezoid
+from uvgs_bench.geometry import FloatArray, read_only
+
+_KEPT_MOTIONS = 4096
+
+
+class Motors:
+    """Motor positions over time, in mm or deg, in a coordinate in which nothing ever jumps.
+
+    Args:
+        start: Positions before the first motion, shape (A,).
+    """
+
+    def __init__(self, start: FloatArray) -> None:
+        self.moving: Motion | None = None
+        self._motions: list[Motion] = [trapezoid(start, start, 0.0, 1.0, 1.0)]
+        self._directions: list[FloatArray] = [read_only(np.zeros(len(start)))]
+        self._dropped = 0
+
+    def begin(self, motion: Motion) -> None:
+        """Start a motion where the last one ended."""
+        self.moving = motion
+        sense = np.sign(np.round(motion.unit, 9))
+        self._motions.append(motion)
+        self._directions.append(read_only(np.where(sense == 0.0, self._directions[-1], sense)))
+        if len(self._motions) > 2 * _KEPT_MOTIONS:
+            del self._motions[:_KEPT_MOTIONS], self._directions[:_KEPT_MOTIONS]
+            self._dropped += _KEPT_MOTIONS
+
+    def amend(self, motion: Motion) -> None:
+        """Replace the motion under way, which was braked."""
+        self._motions[-1] = motion
+        self.moving = motion
+
+    def halt(self, at_s: float, end: FloatArray) -> None:
+        """Stand still from an instant on, abruptly; nothing when at rest."""
+        if self.moving is not None:
+            self._motions[-1] = self.moving.cut(at_s, end)
+            self.moving = None
+
+    def finish(self) -> None:
+        """Take the motion under way as over."""
+        self.moving = None
+
+    def position(self, t_s: float) -> FloatArray:
+        """Positions at an instant, shape (A,)."""
+        return self._motions[self._index(t_s)].position(t_s)
+
+    def velocity(self, t_s: float) -> FloatArray:
+        """Velocities at an instant, shape (A,), per s."""
+        return self._motions[self._index(t_s)].velocity(t_s)
+
+    def last_direction(self, t_s: float) -> FloatArray:
+        """Sense in which each axis moves or moved last, +1, -1, or 0 for never, shape (A,)."""
+        return self._directions[self._index(t_s)]
+
+    def stops_count(self, t_s: float) -> int:
+        """How many motions have ended by an instant."""
+        index = self._index(t_s)
+        return self._dropped + index - (0 if t_s >= self._motions[index].end_s else 1)
+
+    def _index(self, t_s: float) -> int:
+        return max(0, bisect_right(self._motions, t_s, key=lambda motion: motion.start_s) - 1)
