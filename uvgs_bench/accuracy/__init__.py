@@ -4,10 +4,10 @@ Here: registration of the frames with what cannot be seen, errors in camera axes
 stations, verdicts against limits. In: ``Observations`` of one run and limits. Out: ``Judgement``. Plug point: none.
 """
 
-from uvgs_bench.accuracy.judgement import Judgement, Limit
+from uvgs_bench.accuracy.judgement import Judgement, Limit, judge
 from uvgs_bench.accuracy.observations import Observations
-from uvgs_bench.accuracy.pose_error import ErrorTable
-from uvgs_bench.accuracy.registration import Registration
+from uvgs_bench.accuracy.pose_error import ErrorTable, error_table
+from uvgs_bench.accuracy.registration import Registration, fit_registration
 
 __all__ = [
     "ErrorTable",
@@ -15,4 +15,7 @@ __all__ = [
     "Limit",
     "Observations",
     "Registration",
+    "error_table",
+    "fit_registration",
+    "judge",
 ]

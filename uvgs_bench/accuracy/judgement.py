@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from uvgs_bench.accuracy.pose_error import ErrorTable
-from uvgs_bench.accuracy.registration import Registration
-from uvgs_bench.accuracy.statistics import AccuracySummary, Availability
+import numpy as np
+
+from uvgs_bench.accuracy.clusters import LEAST_PLACES, Estimate
+from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
+from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
+from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
+from uvgs_bench.errors import RegistrationError
+from uvgs_bench.geometry import Pose
+from uvgs_bench.units import deg_from_rad, mm_from_m
 
 Verdict = Literal["pass", "fail", "inconclusive"]
 Bound = Literal["max", "min"]
@@ -135,3 +143,206 @@ class Judgement:
     verdict: Verdict
     alerts: tuple[Alert, ...]
     split: str
+
+
+_FOLDS = 5
+# The registration's doubt matters when it makes up more than this part of the squared errors.
+_DOMINANT_SHARE = 0.25
+_RANK: dict[str, int] = {"error": 0, "warning": 1, "note": 2}
+
+
+def judge(
+    obs: Observations,
+    limits: Sequence[Limit],
+    rng: np.random.Generator,
+    *,
+    run_completed: bool = True,
+    gantry_sigma_m: float = GANTRY_SIGMA_M,
+    nominal: Pose | None = None,
+) -> Judgement:
+    """Register on the stations meant for it, judge on the others, and hold the figures against limits.
+
+    Without stations of both roles every fifth of the places is judged by a registration fitted on the rest.
+
+    Args:
+        obs: All captures of a run, misses included.
+        limits: What is demanded.
+        rng: Source of randomness for the intervals; the same seed gives the same judgement.
+        run_completed: Whether the run reached its end.
+        gantry_sigma_m: Standard deviation per axis of the carriage position, m.
+        nominal: Where what rides the carriage is drawn to in unseen directions; the identity when None.
+
+    Returns:
+        The judgement. Too little data gives ``inconclusive`` with the reason, never an exception.
+    """
+    found = availability(obs, rng)
+    alerts: list[Alert] = []
+    if not run_completed:
+        alerts.append(Alert("warning", "the run did not reach its end: figures cover only what was taken"))
+    try:
+        registration, fitted_on, table, split = _register_and_judge(obs, gantry_sigma_m, nominal)
+    except RegistrationError as error:
+        alerts.append(Alert("error", f"no registration, hence no accuracy: {error}"))
+        verdicts = tuple(_limit_verdict(limit, None, found) for limit in limits)
+        return Judgement(
+            None, None, None, None, None, found, verdicts, _overall(verdicts), _sorted(alerts), "nothing to judge"
+        )
+    in_sample = error_table(fitted_on, registration)
+    summary = summarise(table, rng)
+    verdicts = tuple(_limit_verdict(limit, summary, found) for limit in limits)
+    alerts += _registration_alerts(registration) + _summary_alerts(summary)
+    if not limits:
+        alerts.append(Alert("note", "no limits were given: there is nothing to pass or fail"))
+    return Judgement(
+        registration=registration,
+        in_sample_table=in_sample,
+        table=table,
+        in_sample_summary=summarise(in_sample, rng),
+        summary=summary,
+        availability=found,
+        verdicts=verdicts,
+        verdict=_overall(verdicts),
+        alerts=_sorted(alerts),
+        split=split,
+    )
+
+
+def _register_and_judge(
+    obs: Observations, gantry_sigma_m: float, nominal: Pose | None
+) -> tuple[Registration, Observations, ErrorTable, str]:
+    """Registration, the captures it was fitted on, the held-out errors, and how they were parted."""
+    registers = obs.has_role("register")
+    judges = ~registers
+    if registers.any() and judges.any():
+        fitted_on = obs.select(registers)
+        registration = fit_registration(fitted_on, gantry_sigma_m=gantry_sigma_m, nominal=nominal)
+        split = (
+            f"registered on {len(np.unique(obs.station[registers]))} stations, "
+            f"judged on {len(np.unique(obs.station[judges]))} others"
+        )
+        return registration, fitted_on, error_table(obs.select(judges), registration), split
+    registration = fit_registration(obs, gantry_sigma_m=gantry_sigma_m, nominal=nominal)
+    places = np.unique(obs.place[obs.is_solved])
+    if len(places) < 2 * LEAST_STATIONS:
+        raise RegistrationError(
+            f"all stations have one role and only {len(places)} have a pose: "
+            f"at least {2 * LEAST_STATIONS} are needed to judge on other stations than those registered on"
+        )
+    # Neighbours in time go to different folds, so that a drift does not hide in one.
+    fold_of_place = dict(zip(places.tolist(), (np.arange(len(places)) % _FOLDS).tolist(), strict=True))
+    fold = np.array([fold_of_place.get(place, 0) for place in obs.place.tolist()])
+    parts = []
+    for k in range(_FOLDS):
+        if (fold == k).any():
+            held_out = obs.select(fold == k)
+            others = fit_registration(obs.select(fold != k), gantry_sigma_m=gantry_sigma_m, nominal=nominal)
+            parts.append(error_table(held_out, others))
+    split = (
+        f"no stations set apart: each fifth of {len(places)} places judged by a registration on the other four fifths"
+    )
+    return registration, obs, concatenated(parts), split
+
+
+def _limit_verdict(limit: Limit, summary: AccuracySummary | None, found: Availability) -> LimitVerdict:
+    component, statistic, unit = QUANTITIES[limit.quantity]
+    if component == "availability":
+        estimate = found.fraction.scaled(100.0)
+    elif summary is None:
+        nothing = Estimate(float("nan"), 0.0, float("inf"), 0, 0, "no errors to judge")
+        estimate = nothing
+    else:
+        raw: Estimate = getattr(summary.components[component], statistic)
+        estimate = raw.scaled(mm_from_m(1.0) if unit == "mm" else deg_from_rad(1.0))
+    verdict, reason = _compared(limit, estimate)
+    return LimitVerdict(limit, estimate.value, estimate.low, estimate.high, estimate.station_count, verdict, reason)
+
+
+def _compared(limit: Limit, found: Estimate) -> tuple[Verdict, str]:
+    if not np.isfinite(found.value):
+        return "inconclusive", found.note or "no figure"
+    interval = f"95 % interval {found.low:.4g} to {found.high:.4g} {limit.unit}"
+    if limit.bound == "max":
+        inside, outside = found.high <= limit.value, found.low > limit.value
+    else:
+        inside, outside = found.low >= limit.value, found.high < limit.value
+    if inside:
+        return "pass", f"{interval} is within the limit"
+    if outside:
+        if np.isinf(found.high):
+            return "fail", f"at least {found.low:.4g} {limit.unit} is beyond the limit"
+        return "fail", f"{interval} is beyond the limit"
+    if found.note:
+        return "inconclusive", found.note
+    return "inconclusive", f"{interval} straddles the limit: more stations would narrow it"
+
+
+def _overall(verdicts: Sequence[LimitVerdict]) -> Verdict:
+    words = {verdict.verdict for verdict in verdicts}
+    if "fail" in words:
+        return "fail"
+    return "pass" if words == {"pass"} else "inconclusive"
+
+
+def _registration_alerts(registration: Registration) -> list[Alert]:
+    alerts = [
+        Alert("note", f"registration, rank {registration.rank} of 12: {text}") for text in registration.blind_spots
+    ]
+    if registration.outlier_count:
+        alerts.append(
+            Alert(
+                "warning",
+                f"{registration.outlier_count} of {registration.capture_count} captures used to register are outliers; "
+                "their weight was lowered",
+            )
+        )
+    if registration.station_count < 2 * LEAST_STATIONS:
+        alerts.append(
+            Alert("warning", f"only {registration.station_count} stations register: their errors shift all others")
+        )
+    return alerts
+
+
+def _summary_alerts(summary: AccuracySummary | None) -> list[Alert]:
+    if summary is None:
+        return [Alert("error", "no station that judges has a pose: there is no accuracy to state")]
+    alerts = []
+    if summary.station_count < LEAST_PLACES:
+        alerts.append(
+            Alert(
+                "warning",
+                f"only {summary.station_count} stations judge: intervals need at least {LEAST_PLACES}",
+            )
+        )
+    if summary.outlier_count:
+        alerts.append(
+            Alert(
+                "warning",
+                f"{summary.outlier_count} of {summary.capture_count} judged captures are outliers (more than 5 times "
+                "the usual error); they are in every figure",
+            )
+        )
+    position = summary.components["position"].rms.value
+    if summary.registration_share_m**2 > _DOMINANT_SHARE * position**2:
+        alerts.append(
+            Alert(
+                "warning",
+                f"the registration's own doubt ({mm_from_m(summary.registration_share_m):.3g} mm) is a large part of "
+                f"the position errors ({mm_from_m(position):.3g} mm RMS): register on more stations",
+            )
+        )
+    check = summary.consistency
+    if not check.is_consistent:
+        mean = check.mean_nees_over_6.value
+        word = "too small" if mean > 1.0 else "too large"
+        alerts.append(
+            Alert(
+                "warning",
+                f"the sensor's stated uncertainty is {word}: mean squared error over stated variance is {mean:.2f}, "
+                f"expected {check.band_low:.2f} to {check.band_high:.2f}",
+            )
+        )
+    return alerts
+
+
+def _sorted(alerts: Sequence[Alert]) -> tuple[Alert, ...]:
+    return tuple(sorted(alerts, key=lambda alert: _RANK[alert.level]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -31,6 +31,8 @@ class Observations:
         is_solved: Whether there is a pose, shape (N,).
         reason: ``stage/reason`` of each miss, empty for a pose, length N.
         mount: Which part rides the carriage.
+        place: Waypoint of each capture, shape (N,): stations that revisit a place share its systematic errors, so they
+            are one when doubts are computed; the station itself when empty.
     """
 
     station: NDArray[np.int64]
@@ -45,6 +47,11 @@ class Observations:
     is_solved: NDArray[np.bool_]
     reason: tuple[str, ...]
     mount: Mount = "beacon_on_carriage"
+    place: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.place) == 0:
+            object.__setattr__(self, "place", self.station)
 
     @property
     def count(self) -> int:
@@ -67,6 +74,7 @@ class Observations:
             is_solved=self.is_solved[chosen],
             reason=tuple(self.reason[i] for i in chosen),
             mount=self.mount,
+            place=self.place[chosen],
         )
 
     def has_role(self, role: Role) -> NDArray[np.bool_]:

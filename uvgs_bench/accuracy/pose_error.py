@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uvgs_bench.accuracy.observations import Role
-from uvgs_bench.geometry import FloatArray
+from uvgs_bench.accuracy.bench_model import gantry_covariance, pose_residuals
+from uvgs_bench.accuracy.observations import Observations, Role
+from uvgs_bench.accuracy.registration import Registration
+from uvgs_bench.accuracy.tangent import hats, rotation_logs
+from uvgs_bench.geometry import FloatArray, read_only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,6 +21,7 @@ class ErrorTable:
 
     Args:
         station: Station of each capture, shape (N,).
+        place: Place of each capture, shape (N,): stations that revisit a place count as one in every interval.
         role: Role of each capture's station, length N.
         t_ns: Instants, shape (N,), ns.
         axis_position: Reported machine positions, shape (N, A), m or rad.
@@ -31,10 +36,11 @@ class ErrorTable:
         view_angle_rad: Predicted angle between the beacon's z axis and the line of sight, shape (N,), rad.
         nees: Squared error over the predicted covariance (sensor, gantry and registration), shape (N,), 6 on average.
         registration_factor: Effect of the registration's own doubt on (rotation error, translation error), shape
-            (N, 6, k), rad and m: its covariance is ``F F^T``.
+            (N, 6, 12), rad and m: its covariance is ``F F^T``.
     """
 
     station: NDArray[np.int64]
+    place: NDArray[np.int64]
     role: tuple[Role, ...]
     t_ns: NDArray[np.int64]
     axis_position: FloatArray
@@ -96,6 +102,7 @@ class ErrorTable:
         chosen = np.flatnonzero(mask)
         return ErrorTable(
             station=self.station[chosen],
+            place=self.place[chosen],
             role=tuple(self.role[i] for i in chosen),
             t_ns=self.t_ns[chosen],
             axis_position=self.axis_position[chosen],
@@ -111,3 +118,86 @@ class ErrorTable:
             nees=self.nees[chosen],
             registration_factor=self.registration_factor[chosen],
         )
+
+
+def error_table(obs: Observations, registration: Registration) -> ErrorTable:
+    """Compare every capture with what the registered gantry predicts.
+
+    Args:
+        obs: Captures, misses included.
+        registration: The registration; fitted on other stations when the errors shall be honest.
+
+    Returns:
+        The errors in the order of the captures.
+    """
+    N = obs.count
+    R, t = registration.predict(obs)
+    solved = obs.select(obs.is_solved)
+    R_s, t_s = R[obs.is_solved], t[obs.is_solved]
+    shift, turn, nees = np.full((N, 3), np.nan), np.full((N, 3), np.nan), np.full(N, np.nan)
+    shift[obs.is_solved] = solved.t_cb_m - t_s
+    turn[obs.is_solved] = rotation_logs(solved.R_cb @ R_s.transpose(0, 2, 1))
+
+    values, vectors = np.linalg.eigh(registration.covariance)
+    # The symmetric root has no arbitrary signs, so factors of similar registrations can be compared.
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    tangent_factor = registration.prediction_jacobian(obs) @ root
+    # Left tangent to translation in camera axes: dt = v + omega x t.
+    factor = tangent_factor.copy()
+    factor[:, 3:] -= hats(t) @ tangent_factor[:, :3]
+
+    doubt = solved.covariance + gantry_covariance(registration.gantry_sigma_m)
+    own = tangent_factor[obs.is_solved]
+    doubt = doubt + own @ own.transpose(0, 2, 1)
+    e = pose_residuals(solved, R_s, t_s)
+    nees[obs.is_solved] = np.einsum("ni,ni->n", e, np.linalg.solve(doubt, e[:, :, None])[:, :, 0])
+
+    range_m = np.linalg.norm(t, axis=1)
+    sight = t / np.maximum(range_m, 1e-12)[:, None]
+    beacon_z = R[:, :, 2]
+    view = np.arctan2(np.linalg.norm(np.cross(beacon_z, sight), axis=1), np.einsum("ni,ni->n", beacon_z, sight))
+    return ErrorTable(
+        station=obs.station,
+        place=obs.place,
+        role=obs.role,
+        t_ns=obs.t_ns,
+        axis_position=obs.axis_position,
+        is_solved=obs.is_solved,
+        reason=obs.reason,
+        predicted_R=read_only(R),
+        predicted_t_m=read_only(t),
+        translation_error_m=read_only(shift),
+        rotation_error_rad=read_only(turn),
+        range_m=read_only(range_m),
+        field_angle_rad=read_only(np.arctan2(np.linalg.norm(t[:, :2], axis=1), t[:, 2])),
+        view_angle_rad=read_only(view),
+        nees=read_only(nees),
+        registration_factor=read_only(factor),
+    )
+
+
+def concatenated(parts: Sequence[ErrorTable]) -> ErrorTable:
+    """Put tables of different captures together, in the order of their instants.
+
+    The doubts of different registrations are taken as one and the same draw: the cautious reading for folds that share
+    most of their stations.
+
+    Args:
+        parts: At least one table.
+
+    Returns:
+        One table.
+    """
+    order = np.argsort(np.concatenate([part.t_ns for part in parts]), kind="stable")
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ErrorTable.__dataclass_fields__
+        if name not in ("role", "reason")
+    }
+    roles = [role for part in parts for role in part.role]
+    reasons = [reason for part in parts for reason in part.reason]
+    return ErrorTable(
+        **joined,
+        role=tuple(roles[i] for i in order),
+        reason=tuple(reasons[i] for i in order),
+    )

@@ -13,9 +13,35 @@ for Robotics, chapters 5 and 7; P. Huber, Robust Statistics, chapter 7.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-from uvgs_bench.accuracy.observations import Mount
-from uvgs_bench.geometry import FloatArray, Pose
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.accuracy.bench_model import carriage_motion, predicted, prediction_jacobian
+from uvgs_bench.accuracy.least_squares import Alignment, usual_distance
+from uvgs_bench.accuracy.observability import blind_spots, in_gauge, mounted_slice
+from uvgs_bench.accuracy.observations import Mount, Observations
+from uvgs_bench.accuracy.registration_start import start_poses
+from uvgs_bench.accuracy.tangent import hats, rotation_logs
+from uvgs_bench.errors import RegistrationError
+from uvgs_bench.geometry import FloatArray, Pose, read_only
+from uvgs_bench.units import mm_from_m
+
+GANTRY_SIGMA_M = 5e-5
+"""Positioning doubt per axis of a good belt or screw gantry, m, used when nothing better is known."""
+LEAST_STATIONS = 3
+FRAMES_BY_MOUNT: dict[Mount, tuple[tuple[str, str], tuple[str, str]]] = {
+    "beacon_on_carriage": (("camera", "gantry"), ("carriage", "beacon")),
+    "camera_on_carriage": (("camera", "carriage"), ("gantry", "beacon")),
+}
+"""Frames of the left and the right pose by mount."""
+
+_LEAST_TRAVEL_M = 1e-5
+_LEAST_TURN_RAD = 1e-5
+_OUTLIER = 5.0
+# Root mean square length of a whitened 6-vector.
+_TYPICAL_LENGTH = 6.0**0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +59,10 @@ class Registration:
             (1 rad counts as 1 m).
         blind_spots: The unseen directions in words, one line each.
         gauge: How the unseen directions were chosen, one line.
-        station_count: Stations with a pose that took part.
+        station_count: Stations with a pose that took part; visits of one place count once.
         capture_count: Captures with a pose that took part.
         downweighted_count: Captures whose weight the robust loss lowered.
-        outlier_count: Captures further than five times the usual distance.
+        outlier_count: Captures further from the fit than five times the usual distance.
         variance_factor: Scatter of the station means over what one capture's covariance predicts (1 = as predicted; 1/n
             when n captures per station are independent); the covariance is already multiplied with it.
         degrees_of_freedom: Of the variance factor: 6 per station less the rank.
@@ -60,3 +86,148 @@ class Registration:
     degrees_of_freedom: int
     gantry_sigma_m: float
     iterations: int
+
+    @property
+    def left_covariance(self) -> FloatArray:
+        """Covariance of the left tangent of ``left``, shape (6, 6)."""
+        return read_only(self.covariance[:6, :6])
+
+    @property
+    def right_covariance(self) -> FloatArray:
+        """Covariance of the left tangent of ``right``, shape (6, 6)."""
+        return read_only(self.covariance[6:, 6:])
+
+    def sigmas(self, part: Literal["left", "right"]) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations people can read off a pose.
+
+        Args:
+            part: Which of the two poses.
+
+        Returns:
+            Rotation about the target frame's axes, shape (3,), rad, and translation (position of the source origin in
+            the target frame), shape (3,), m. Zero along what the gauge holds.
+        """
+        pose, C = (self.left, self.left_covariance) if part == "left" else (self.right, self.right_covariance)
+        K = np.concatenate([-hats(pose.t_m[None])[0], np.eye(3)], axis=1)
+        return np.sqrt(np.diag(C)[:3]), np.sqrt(np.maximum(np.diag(K @ C @ K.T), 0.0))
+
+    def predict(self, obs: Observations) -> tuple[FloatArray, FloatArray]:
+        """Where the beacon should be seen.
+
+        Args:
+            obs: Captures; only the gantry's fields are used.
+
+        Returns:
+            Rotations (N, 3, 3) and translations (N, 3), m, of camera_from_beacon.
+        """
+        R_g, t_g = carriage_motion(obs)
+        return predicted(self.left, self.right, R_g, t_g)
+
+    def prediction_jacobian(self, obs: Observations) -> FloatArray:
+        """Derivative of the left tangent of each prediction by the 12 parameters, shape (N, 6, 12)."""
+        R_g, t_g = carriage_motion(obs)
+        return prediction_jacobian(self.left, R_g, t_g)
+
+
+def fit_registration(
+    obs: Observations,
+    mask: NDArray[np.bool_] | None = None,
+    *,
+    gantry_sigma_m: float = GANTRY_SIGMA_M,
+    nominal: Pose | None = None,
+) -> Registration:
+    """Fit the two constant poses of a bench by robust least squares on SE(3), with an open gauge.
+
+    Captures of one place share most of their error, so every place counts once however many captures it has: each
+    capture's information is divided by the place's number of captures. The level of the doubt is taken from the
+    scatter of the means of the places about the fit (variance factor), so it holds for independent and common errors.
+
+    Args:
+        obs: Captures of a run.
+        mask: Captures to use, shape (N,); all when None. Captures without a pose are left out.
+        gantry_sigma_m: Standard deviation per axis of the carriage position, m; added to every capture's covariance.
+        nominal: Where what rides the carriage is drawn to in unseen directions: carriage_from_beacon, or
+            camera_from_carriage; the identity when None.
+
+    Returns:
+        The registration.
+
+    Raises:
+        RegistrationError: Fewer than 3 stations with a pose, a carriage that did not move, a covariance that is none,
+            or no convergence.
+    """
+    used = obs.is_solved if mask is None else obs.is_solved & mask
+    data = obs.select(used)
+    places, of_place, captures = np.unique(data.place, return_inverse=True, return_counts=True)
+    if len(places) < LEAST_STATIONS:
+        raise RegistrationError(
+            f"needs at least {LEAST_STATIONS} stations with a pose to register the frames, got {len(places)}"
+        )
+    R_g, t_g = carriage_motion(data)
+    _check_motion(R_g, t_g)
+    left_names, right_names = FRAMES_BY_MOUNT[obs.mount]
+    chosen = _typical_captures(data, of_place, len(places))
+    R_l, t_l, R_r, t_r = start_poses(R_g[chosen], t_g[chosen], data.R_cb[chosen], data.t_cb_m[chosen])
+    fit = Alignment(data, 1.0 / captures[of_place].astype(np.float64), gantry_sigma_m)
+    left, right, weights, iterations = fit.solve(Pose(R_l, t_l, *left_names), Pose(R_r, t_r, *right_names))
+    if nominal is None:
+        nominal = Pose.identity(*(right_names if obs.mount == "beacon_on_carriage" else left_names))
+    left, right, parted, gradient = fit.regauge(left, right, weights, nominal, obs.mount)
+    null = parted.null_directions()
+    degrees = 6 * len(places) - parted.rank
+    factor = fit.place_scatter(left, right, weights, of_place, len(places)) / degrees
+    covariance = factor * in_gauge(parted.covariance(), null, gradient, mounted_slice(obs.mount))
+    distance = fit.distances(left, right)
+    return Registration(
+        mount=obs.mount,
+        left=left,
+        right=right,
+        covariance=read_only(covariance),
+        rank=parted.rank,
+        null_directions=read_only(null),
+        blind_spots=blind_spots(null, left, obs.mount),
+        gauge=_gauge_text(len(null), obs.mount),
+        station_count=len(places),
+        capture_count=data.count,
+        downweighted_count=int((weights < 1.0).sum()),
+        outlier_count=int((distance > _OUTLIER * _TYPICAL_LENGTH * usual_distance(distance)).sum()),
+        variance_factor=factor,
+        degrees_of_freedom=degrees,
+        gantry_sigma_m=gantry_sigma_m,
+        iterations=iterations,
+    )
+
+
+def _check_motion(R_g: FloatArray, t_g: FloatArray) -> None:
+    travel_m = float(np.linalg.norm(t_g - t_g[0], axis=1).max())
+    turn_rad = float(np.linalg.norm(rotation_logs(R_g @ R_g[0].T), axis=1).max())
+    if travel_m < _LEAST_TRAVEL_M and turn_rad < _LEAST_TURN_RAD:
+        raise RegistrationError(
+            "the carriage did not move between the stations: the frames cannot be registered "
+            f"(largest travel {mm_from_m(travel_m):.3f} mm)"
+        )
+
+
+def _typical_captures(data: Observations, of_place: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Of each station the capture nearest to its median position, so that a lone wrong pose does not start."""
+    order = np.argsort(of_place, kind="stable")
+    first = np.searchsorted(of_place[order], np.arange(count + 1))
+    chosen = np.empty(count, dtype=np.intp)
+    for s in range(count):
+        rows = order[first[s] : first[s + 1]]
+        if len(rows) > 2:
+            t = data.t_cb_m[rows]
+            chosen[s] = rows[((t - np.median(t, axis=0)) ** 2).sum(axis=1).argmin()]
+        else:
+            chosen[s] = rows[0]
+    return chosen
+
+
+def _gauge_text(blind: int, mount: Mount) -> str:
+    rider = "beacon" if mount == "beacon_on_carriage" else "camera"
+    if blind == 0:
+        return "none needed: every direction is seen"
+    return (
+        f"the {blind} unseen direction{'s are' if blind > 1 else ' is'} held where the {rider}'s pose on the carriage "
+        "is nearest to its nominal one; predictions do not depend on this choice"
+    )

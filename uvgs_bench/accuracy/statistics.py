@@ -2,42 +2,45 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Literal
 
-Unit = Literal["m", "rad", "1"]
+import numpy as np
 
+from uvgs_bench.accuracy.clusters import Clusters, Estimate
+from uvgs_bench.accuracy.intervals import moment_intervals, ratio_interval, within_and_between
+from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.accuracy.order_intervals import fraction_interval, max_interval, quantile_interval
+from uvgs_bench.accuracy.pose_error import ErrorTable
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """One figure with its 95 % interval.
+__all__ = [
+    "AccuracySummary",
+    "Availability",
+    "ComponentStatistics",
+    "Consistency",
+    "Estimate",
+    "availability",
+    "summarise",
+]
 
-    Args:
-        value: The figure over the captures at hand, in m, rad or as a plain number; NaN when there is none.
-        low: Lower end of the interval; -inf or NaN-free always.
-        high: Upper end; inf when the data cannot bound it.
-        station_count: Stations behind it.
-        capture_count: Captures behind it.
-        note: Why the interval is missing or open, empty otherwise.
-    """
+Unit = Literal["m", "rad"]
 
-    value: float
-    low: float
-    high: float
-    station_count: int
-    capture_count: int
-    note: str = ""
-
-    def scaled(self, factor: float) -> Estimate:
-        """The same figure in another unit."""
-        return Estimate(
-            self.value * factor,
-            self.low * factor,
-            self.high * factor,
-            self.station_count,
-            self.capture_count,
-            self.note,
-        )
+_COMPONENTS: dict[str, tuple[Unit, tuple[int, ...]]] = {
+    "lateral_x": ("m", (0,)),
+    "lateral_y": ("m", (1,)),
+    "depth": ("m", (2,)),
+    "lateral": ("m", (0, 1)),
+    "position": ("m", (0, 1, 2)),
+    "tilt_x": ("rad", (0,)),
+    "tilt_y": ("rad", (1,)),
+    "roll": ("rad", (2,)),
+    "attitude": ("rad", (0, 1, 2)),
+}
+_DOF = 6
+_OUTLIER = 5.0
+# Median of the chi-squared distribution with 6 degrees of freedom.
+_MEDIAN_NEES = 5.348
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +118,13 @@ class AccuracySummary:
     Args:
         components: Statistics by name, in the order of ``ComponentStatistics.name``.
         consistency: The check of the sensor's covariance.
-        registration_share_m: Root mean square share of the registration's own doubt in the position errors, m.
-        registration_share_rad: The same in the attitude errors, rad.
+        registration_share_m: What the registration's own doubt adds to the position errors, root mean square, m.
+        registration_share_rad: The same for the attitude errors, rad.
         range_min_m: Smallest predicted range among the captures with a pose, m.
         range_max_m: Largest, m.
         station_count: Stations with a pose.
         capture_count: Captures with a pose.
-        outlier_count: Captures whose error is beyond five times the predicted one; they are included in every figure.
+        outlier_count: Captures further off than five times the usual distance; they are included in every figure.
     """
 
     components: dict[str, ComponentStatistics]
@@ -133,3 +136,83 @@ class AccuracySummary:
     station_count: int
     capture_count: int
     outlier_count: int
+
+
+def availability(obs: Observations, rng: np.random.Generator) -> Availability:
+    """How often there was a pose, over all captures given.
+
+    Args:
+        obs: Captures, misses included.
+        rng: Source of randomness.
+
+    Returns:
+        The fraction with its interval, and the reasons of the misses.
+    """
+    if obs.count == 0:
+        return Availability(Estimate(np.nan, 0.0, 1.0, 0, 0, "no captures"), 0, 0, {})
+    fraction = fraction_interval(obs.is_solved, Clusters.of(obs.place, rng))
+    reasons = Counter(reason for reason, solved in zip(obs.reason, obs.is_solved, strict=True) if not solved)
+    ordered = dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0])))
+    return Availability(fraction, obs.count, int(obs.is_solved.sum()), ordered)
+
+
+def summarise(table: ErrorTable, rng: np.random.Generator) -> AccuracySummary | None:
+    """All figures of a set of captures.
+
+    Args:
+        table: Errors; misses are left out.
+        rng: Source of randomness for the intervals; the same seed gives the same intervals.
+
+    Returns:
+        The figures, or None when no capture has a pose.
+    """
+    solved = table.select(table.is_solved)
+    if solved.count == 0:
+        return None
+    clusters = Clusters.of(solved.place, rng)
+    components = {}
+    for name, (unit, axes) in _COMPONENTS.items():
+        chosen = list(axes)
+        errors = (solved.translation_error_m if unit == "m" else solved.rotation_error_rad)[:, chosen]
+        factor = solved.registration_factor[:, [axis + (3 if unit == "m" else 0) for axis in axes]]
+        sizes = np.linalg.norm(errors, axis=1)
+        moments = moment_intervals(errors, factor, clusters)
+        within, between = within_and_between(errors, clusters)
+        components[name] = ComponentStatistics(
+            name=name,
+            unit=unit,
+            bias=moments.bias,
+            spread=moments.spread,
+            rms=moments.rms,
+            median=quantile_interval(sizes, 0.5, clusters),
+            p95=quantile_interval(sizes, 0.95, clusters),
+            max=max_interval(sizes, clusters),
+            within_station=within,
+            between_stations=between,
+        )
+    usual = float(np.median(solved.nees)) / _MEDIAN_NEES
+    return AccuracySummary(
+        components=components,
+        consistency=_consistency(solved, clusters),
+        registration_share_m=float(np.sqrt((solved.registration_sigma_m**2).mean())),
+        registration_share_rad=float(np.sqrt((solved.registration_sigma_rad**2).mean())),
+        range_min_m=float(solved.range_m.min()),
+        range_max_m=float(solved.range_m.max()),
+        station_count=clusters.count,
+        capture_count=clusters.captures,
+        outlier_count=int((solved.nees > _OUTLIER**2 * _DOF * max(usual, 1e-12)).sum()),
+    )
+
+
+def _consistency(solved: ErrorTable, clusters: Clusters) -> Consistency:
+    from scipy import stats
+
+    total = clusters.sums(solved.nees) / _DOF
+    value = float(total.sum()) / clusters.captures
+    mean = clusters.unbounded(value)
+    if mean is None:
+        mean = clusters.estimate(*ratio_interval(total, clusters.size, clusters))
+    # Captures of a place share errors, so the band is that of as many samples as there are places.
+    freedom = _DOF * clusters.count
+    band = [float(stats.chi2.ppf(q, freedom)) / freedom for q in (0.025, 0.975)]
+    return Consistency(mean, band[0], band[1], mean.low <= band[1] and mean.high >= band[0])

@@ -1,0 +1,90 @@
+"""Intervals of quantiles, the largest value and fractions, without assuming a law.
+
+The number of captures is first reduced to what they are worth (intraclass correlation). With too few of them the upper
+end is infinite, and the note says how many are needed.
+
+Source: G. Hahn and W. Meeker, Statistical Intervals, chapter 5; C. Clopper and E. Pearson, 1934.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.accuracy.clusters import TAIL, Clusters, Estimate, worth
+from uvgs_bench.geometry import FloatArray
+
+# log(0.05) / log(0.95), rounded up.
+_LEAST_FOR_MAX = 59
+
+
+def quantile_interval(sizes: FloatArray, level: float, clusters: Clusters) -> Estimate:
+    """A quantile of absolute values with its order-statistic interval.
+
+    Args:
+        sizes: Absolute values, shape (n,), n >= 1.
+        level: Between 0 and 1.
+        clusters: Their places.
+
+    Returns:
+        The estimate; its upper end is infinite when even the largest value need not reach the quantile.
+    """
+    from scipy import stats
+
+    n = len(sizes)
+    ordered = np.sort(sizes)
+    value = float(np.quantile(ordered, level))
+    trials = int(worth(sizes, clusters))
+    lower = int(stats.binom.ppf(TAIL, trials, level))
+    upper = int(stats.binom.ppf(1.0 - TAIL, trials, level)) + 1
+    low = float(ordered[int(np.floor((lower - 1) / trials * n))]) if lower >= 1 else 0.0
+    if upper > trials:
+        needed = int(np.ceil(np.log(TAIL) / np.log(level)))
+        note = f"worth {trials} independent captures: {needed} are needed to bound the {100.0 * level:.0f}th percentile"
+        return clusters.estimate(value, min(low, value), np.inf, note)
+    high = float(ordered[int(np.ceil(upper / trials * n)) - 1])
+    return clusters.estimate(value, min(low, value), max(high, value))
+
+
+def max_interval(sizes: FloatArray, clusters: Clusters) -> Estimate:
+    """The largest value, with what it says about values not taken.
+
+    Args:
+        sizes: Absolute values, shape (n,), n >= 1.
+        clusters: Their places.
+
+    Returns:
+        The estimate: bounded by the largest value itself when 95 % of all values lie below it with 95 % confidence
+        (59 independent captures), else open above.
+    """
+    value = float(sizes.max())
+    trials = int(worth(sizes, clusters))
+    if trials >= _LEAST_FOR_MAX:
+        return clusters.estimate(value, value, value)
+    covered = 100.0 * (2.0 * TAIL) ** (1.0 / trials)
+    note = (
+        f"worth {trials} independent captures: {covered:.0f} % of all errors lie below it with 95 % confidence, "
+        f"{_LEAST_FOR_MAX} are needed for 95 %"
+    )
+    return clusters.estimate(value, value, np.inf, note)
+
+
+def fraction_interval(successes: NDArray[np.bool_], clusters: Clusters) -> Estimate:
+    """A fraction with its exact interval (Clopper-Pearson) for as many trials as the captures are worth.
+
+    Args:
+        successes: One flag per capture, shape (n,), n >= 1.
+        clusters: Their places.
+
+    Returns:
+        The estimate.
+    """
+    from scipy import stats
+
+    value = float(successes.mean())
+    # Without a single failure (or success) nothing is known about how they cluster: a place is then one trial.
+    trials = float(clusters.count) if value in (0.0, 1.0) else worth(successes.astype(np.float64), clusters)
+    k = value * trials
+    low = float(stats.beta.ppf(TAIL, k, trials - k + 1.0)) if k > 0.0 else 0.0
+    high = float(stats.beta.ppf(1.0 - TAIL, k + 1.0, trials - k)) if k < trials else 1.0
+    return clusters.estimate(value, low, high)

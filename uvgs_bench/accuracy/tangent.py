@@ -1,0 +1,106 @@
+"""Many poses at once: logarithms, adjoints and Jacobians over a leading axis, for tables of thousands of captures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uvgs_bench.geometry import FloatArray
+
+# Bernoulli numbers over factorials of x / (e^x - 1), powers 2, 4, 6, 8, 10; odd powers above the first vanish.
+_BERNOULLI = (1.0 / 12.0, -1.0 / 720.0, 1.0 / 30240.0, -1.0 / 1209600.0, 1.0 / 47900160.0)
+
+
+def hats(w: FloatArray) -> FloatArray:
+    """Skew-symmetric matrices.
+
+    Args:
+        w: Vectors, shape (N, 3).
+
+    Returns:
+        Matrices, shape (N, 3, 3).
+    """
+    out = np.zeros((len(w), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = w[:, 2], -w[:, 1], w[:, 0]
+    return out
+
+
+def rotation_logs(R: FloatArray) -> FloatArray:
+    """Rotation vectors, angle in [0, pi], by quaternion so that no digits are lost near 0 or pi.
+
+    Args:
+        R: Rotations, shape (N, 3, 3).
+
+    Returns:
+        Rotation vectors, shape (N, 3), rad.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if len(R) == 0:
+        return np.empty((0, 3))
+    vectors: FloatArray = Rotation.from_matrix(R).as_rotvec()
+    return vectors
+
+
+def pose_logs(R: FloatArray, t_m: FloatArray) -> FloatArray:
+    """Twists (omega, v) of rigid transforms.
+
+    Args:
+        R: Rotations, shape (N, 3, 3).
+        t_m: Translations, shape (N, 3), m.
+
+    Returns:
+        Twists, shape (N, 6), rad and m.
+    """
+    w = rotation_logs(R)
+    angle_squared = (w**2).sum(axis=1)
+    is_small = angle_squared < 1e-4
+    safe = np.where(is_small, 1.0, angle_squared)
+    half = 0.5 * np.sqrt(safe)
+    exact = (1.0 - half * np.cos(half) / np.sin(half)) / safe
+    series = 1.0 / 12.0 + angle_squared / 720.0 + angle_squared**2 / 30240.0
+    c = np.where(is_small, series, exact)
+    wt = np.cross(w, t_m)
+    return np.concatenate([w, t_m - 0.5 * wt + c[:, None] * np.cross(w, wt)], axis=1)
+
+
+def adjoints(R: FloatArray, t_m: FloatArray) -> FloatArray:
+    """Adjoint matrices, rotation first.
+
+    Args:
+        R: Rotations, shape (N, 3, 3).
+        t_m: Translations, shape (N, 3), m.
+
+    Returns:
+        Matrices, shape (N, 6, 6).
+    """
+    out = np.zeros((len(R), 6, 6))
+    out[:, :3, :3] = R
+    out[:, 3:, 3:] = R
+    out[:, 3:, :3] = hats(t_m) @ R
+    return out
+
+
+def left_jacobian_inverses(xi: FloatArray) -> FloatArray:
+    """Inverses of the left Jacobian of SE(3) by its Bernoulli series, exact to 1e-10 for angles below 0.6 rad.
+
+    The truncation reaches 1e-3 at pi; only captures that are wrong altogether are that far from their prediction.
+
+    Args:
+        xi: Twists (omega, v), shape (N, 6), rad and m.
+
+    Returns:
+        Matrices, shape (N, 6, 6).
+    """
+    ad = np.zeros((len(xi), 6, 6))
+    W = hats(xi[:, :3])
+    ad[:, :3, :3] = W
+    ad[:, 3:, 3:] = W
+    ad[:, 3:, :3] = hats(xi[:, 3:])
+    squared = ad @ ad
+    out = np.eye(6) - 0.5 * ad
+    power = squared
+    for coefficient in _BERNOULLI:
+        out = out + coefficient * power
+        power = power @ squared
+    return out
