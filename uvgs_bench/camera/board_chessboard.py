@@ -33,7 +33,7 @@ def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.
     if px is None:
         return _explain(grey, board)
     grid = px.reshape(board.rows, board.columns, 2)
-    if _is_irregular(grid):
+    if _is_irregular(grid) or not _alternates(grey, grid):
         return (
             "board_mismatch",
             f"corners were found, but not in even steps: not a board of {board.columns}x{board.rows}?",
@@ -85,6 +85,24 @@ def _is_irregular(grid: FloatArray) -> bool:
     return False
 
 
+def _alternates(grey: NDArray[np.uint8], grid: FloatArray) -> bool:
+    """Whether neighbouring cells between the corners alternate; a grid that takes every second corner does not."""
+    steps: list[FloatArray] = []
+    for a in (0.25, 0.75):
+        place = (1 - a) * ((1 - a) * grid[:-1, :-1] + a * grid[:-1, 1:]) + a * (
+            (1 - a) * grid[1:, :-1] + a * grid[1:, 1:]
+        )
+        column = np.clip(place[..., 0].round().astype(int), 0, grey.shape[1] - 1)
+        row = np.clip(place[..., 1].round().astype(int), 0, grey.shape[0] - 1)
+        value = grey[row, column].astype(np.float64)
+        parity = (-1.0) ** np.add.outer(np.arange(value.shape[0]), np.arange(value.shape[1]))
+        steps += [(np.diff(value, axis=1) * parity[:, 1:]).ravel(), (np.diff(value, axis=0) * parity[1:]).ravel()]
+    signed = np.concatenate(steps)
+    typical = float(np.median(np.abs(signed)))
+    agreeing = max(float(np.mean(signed > 0.3 * typical)), float(np.mean(signed < -0.3 * typical)))
+    return typical > 0.0 and agreeing > 0.8
+
+
 def _smallest_spacing(px: NDArray[np.float32], columns: int, rows: int) -> float:
     grid = px.reshape(rows, columns, 2)
     steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)]
@@ -97,7 +115,7 @@ def _explain(grey: NDArray[np.uint8], board: Board) -> tuple[str, str]:
 
     columns, rows = board.columns, board.rows
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE + cv2.CALIB_CB_FAST_CHECK
-    for step, reason in ((-1, "board_smaller_than_declared"), (1, "board_larger_than_declared")):
+    for step, reason in ((1, "board_larger_than_declared"), (-1, "board_smaller_than_declared")):
         for other in ((columns + step, rows + step), (columns + step, rows), (columns, rows + step)):
             if min(other) >= 3 and cv2.findChessboardCorners(grey, other, flags=flags)[0]:
                 hint = ": count inner corners, not squares" if step < 0 else ""
