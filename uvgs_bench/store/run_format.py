@@ -20,7 +20,7 @@ _PLAIN_KEYS = (
     *("id", "created_utc", "procedure_name", "mount", "seed", "camera_spec", "gantry_spec", "simulated", "plan_hash"),
     *("station_count", "captures_per_station", "keep", "started_t_ns", "settle_s"),
 )
-_TABLE_KEYS = ("hashes", "versions", "gantry_info")
+_TABLE_KEYS = ("hashes", "versions", "gantry_info", "sources")
 
 
 def line_from_sample(sample: Sample) -> str:

@@ -92,6 +92,7 @@ class RunManifest:
         keep: Which pictures are kept: ``all``, ``worst`` or ``none``.
         started_t_ns: Bench time at ``created_utc``, ns.
         settle_s: Wait between arrival and the first exposure, s.
+        sources: Where each set-up file was read, by the name of its copy.
     """
 
     id: str
@@ -113,6 +114,7 @@ class RunManifest:
     keep: str = "all"
     started_t_ns: int = 0
     settle_s: float = 0.0
+    sources: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ MANIFEST, JOURNAL, WIRE_LOG, CAPTURES, SETUP = "run.toml", "samples.jsonl", "gan
 SETUP_CALIBRATION, SETUP_BEACON, SETUP_BENCH = "calibration.yaml", "beacon.toml", "bench.toml"
 SETUP_PROCEDURE, SETUP_SENSOR = "procedure.toml", "sensor.toml"
 Keep = Literal["all", "worst", "none"]
+KEEPS: tuple[str, ...] = get_args(Keep)
 
 # Freed before the run is closed, so that how it ended can still be written when the disk is full.
 _RESERVE, _RESERVE_BYTES = ".reserve", 65536
@@ -265,8 +266,8 @@ def _write_whole(stream: FileIO, content: bytes) -> None:
 
 
 def _checked_keep(keep: str, path: Path) -> Keep:
-    if keep not in get_args(Keep):
-        raise RunError(f"keep is {keep!r}, expected one of {', '.join(get_args(Keep))}", str(path))
+    if keep not in KEEPS:
+        raise RunError(f"keep is {keep!r}, expected one of {', '.join(KEEPS)}", str(path))
     return cast(Keep, keep)
 
 

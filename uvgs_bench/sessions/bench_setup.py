@@ -1,0 +1,399 @@
+"""From files to an open bench and a run: what is read, what is copied, what is opened, in which order."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Self
+
+from uvgs_bench import __version__
+from uvgs_bench.beacon.geometry import Beacon
+from uvgs_bench.camera.calibration import Calibration
+from uvgs_bench.devices.bench import Bench
+from uvgs_bench.devices.cameras.registry import open_camera
+from uvgs_bench.devices.clock import Clock, RealClock
+from uvgs_bench.devices.gantry.gantry import ControllerInfo
+from uvgs_bench.devices.gantry.registry import open_gantry
+from uvgs_bench.errors import ConfigError, RunError
+from uvgs_bench.sensor.config import UvgsConfig
+from uvgs_bench.sensor.uvgs import Uvgs
+from uvgs_bench.sessions.events import EventSink, ignore_events
+from uvgs_bench.sessions.planning import Plan, plan
+from uvgs_bench.sessions.procedure import read_procedure
+from uvgs_bench.sessions.resume import check_same_setup, resume_sweep
+from uvgs_bench.sessions.sweep import Rig, SweepResult, run_sweep
+from uvgs_bench.store.beacons import read_beacon
+from uvgs_bench.store.bench import read_bench
+from uvgs_bench.store.calibrations import read_calibration
+from uvgs_bench.store.documents import read_document
+from uvgs_bench.store.run import Run, RunManifest, RunWriter
+from uvgs_bench.store.run_writer import (
+    SETUP_BEACON,
+    SETUP_BENCH,
+    SETUP_CALIBRATION,
+    SETUP_PROCEDURE,
+    SETUP_SENSOR,
+    utc_now,
+)
+from uvgs_bench.store.toml_text import toml_text
+
+DEFAULT_SIMULATED_SPEED = 50.0
+_CONTROLLER_SETTINGS = "controller_settings"
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "pyserial")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetUp:
+    """Everything a sweep depends on, read and checked; nothing is open yet.
+
+    Args:
+        bench: The bench.
+        plan: The checked plan.
+        calibration: The camera.
+        beacon: The beacon.
+        config: Settings of the sensor.
+        gantry_spec: Spec of the gantry, from the bench file or given in its place.
+        camera_spec: Spec of the camera, likewise.
+        files: Content of each set-up file by the name of its copy.
+        sources: Where each was read, by the same name.
+        noise_seed: Seed of the simulated bench in place of the bench file's, or None.
+    """
+
+    bench: Bench
+    plan: Plan
+    calibration: Calibration
+    beacon: Beacon
+    config: UvgsConfig
+    gantry_spec: str
+    camera_spec: str
+    files: dict[str, bytes]
+    sources: dict[str, str]
+    noise_seed: int | None = None
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the gantry or the camera is simulated."""
+        return _is_simulated(self.gantry_spec) or _is_simulated(self.camera_spec)
+
+    def hashes(self, info: ControllerInfo) -> dict[str, str]:
+        """SHA-256 of each set-up file and of the controller's settings, by name."""
+        settings = json.dumps(info.settings, sort_keys=True).encode()
+        contents = self.files | {_CONTROLLER_SETTINGS: settings}
+        return {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
+
+
+def read_setup(
+    procedure: Path,
+    bench: Path,
+    *,
+    camera: Path | None = None,
+    gantry_spec: str | None = None,
+    camera_spec: str | None = None,
+    seed: int | None = None,
+) -> SetUp:
+    """Read and check everything a sweep depends on.
+
+    Args:
+        procedure: The procedure file.
+        bench: The bench file.
+        camera: Calibration file in place of the bench's.
+        gantry_spec: Spec in place of the bench's.
+        camera_spec: Spec in place of the bench's.
+        seed: Seed of the procedure and of the simulated bench in place of the files'.
+
+    Returns:
+        The set-up.
+
+    Raises:
+        ConfigError: A file is missing or says something that cannot be meant, or camera and gantry do not go together.
+        EnvelopeError: The procedure leaves the envelope.
+    """
+    described, read = read_bench(bench), read_procedure(procedure)
+    planned = plan(read if seed is None else replace(read, seed=seed), described.envelope)
+    camera_file = Path(described.camera_file) if camera is None else camera
+    if not camera_file.exists():
+        raise ConfigError(
+            "no camera calibration: make one with uvgs calibrate, or name one with --camera", str(camera_file)
+        )
+    sources = {
+        SETUP_CALIBRATION: camera_file,
+        SETUP_BEACON: Path(described.beacon_file),
+        SETUP_BENCH: bench,
+        SETUP_PROCEDURE: procedure,
+    }
+    config = UvgsConfig()
+    if described.sensor_file is not None:
+        sources[SETUP_SENSOR] = Path(described.sensor_file)
+        config = read_document(sources[SETUP_SENSOR], UvgsConfig)
+    calibration, beacon = read_calibration(camera_file), read_beacon(sources[SETUP_BEACON])
+    files = {name: _content(path) for name, path in sources.items()}
+    # The defaults of this version, so that another version can solve the pictures with the same settings.
+    files.setdefault(SETUP_SENSOR, toml_text({"schema": 1} | asdict(config)).encode())
+    set_up = SetUp(
+        bench=described,
+        plan=planned,
+        calibration=calibration,
+        beacon=beacon,
+        config=config,
+        gantry_spec=described.gantry_port if gantry_spec is None else gantry_spec,
+        camera_spec=described.camera_source if camera_spec is None else camera_spec,
+        files=files,
+        sources={name: str(path.resolve()) for name, path in sources.items()},
+        noise_seed=seed,
+    )
+    if _is_own_camera(set_up.camera_spec) and not _is_own_gantry(set_up.gantry_spec):
+        raise ConfigError(
+            f"the simulated camera sees only the simulated gantry, not {set_up.gantry_spec}", set_up.camera_spec
+        )
+    return set_up
+
+
+def read_setup_of(
+    run: Run,
+    *,
+    procedure: Path | None = None,
+    bench: Path | None = None,
+    camera: Path | None = None,
+    gantry_spec: str | None = None,
+    camera_spec: str | None = None,
+) -> SetUp:
+    """Read again what a run was begun with, from where it was read then.
+
+    Args:
+        run: The run.
+        procedure: Another place of the procedure file.
+        bench: Another place of the bench file.
+        camera: Another place of the calibration file.
+        gantry_spec: Spec in place of the run's: a port may have another name after a restart.
+        camera_spec: Spec in place of the run's.
+
+    Returns:
+        The set-up as it is now; whether it is the same, ``check_same_setup`` tells.
+
+    Raises:
+        RunError: The run does not say where its files were.
+        ConfigError: As ``read_setup``.
+        EnvelopeError: As ``read_setup``.
+    """
+    manifest = run.manifest
+    missing = [name for name in (SETUP_PROCEDURE, SETUP_BENCH, SETUP_CALIBRATION) if name not in manifest.sources]
+    if missing:
+        raise RunError(f"does not say where its {missing[0]} came from", str(run.path))
+    set_up = read_setup(
+        procedure or Path(manifest.sources[SETUP_PROCEDURE]),
+        bench or Path(manifest.sources[SETUP_BENCH]),
+        camera=camera or Path(manifest.sources[SETUP_CALIBRATION]),
+        gantry_spec=gantry_spec or manifest.gantry_spec,
+        camera_spec=camera_spec or manifest.camera_spec,
+        seed=manifest.seed,
+    )
+    # Captures after a seam must not repeat the simulated noise of those before it.
+    return replace(set_up, noise_seed=manifest.seed + 1_000_003 * (1 + len(run.seams)))
+
+
+def sweep(
+    set_up: SetUp,
+    folder: Path,
+    *,
+    keep: str = "all",
+    simulated_speed: float = DEFAULT_SIMULATED_SPEED,
+    sink: EventSink = ignore_events,
+) -> SweepResult:
+    """Open the bench, begin a run, and sweep.
+
+    Args:
+        set_up: What was read.
+        folder: Where the run folder is made.
+        keep: Which pictures are kept: ``all``, ``worst`` or ``none``.
+        simulated_speed: How much faster than real time a simulated bench runs.
+        sink: Receives progress.
+
+    Returns:
+        What was taken.
+
+    Raises:
+        UvgsError: As ``open_rig`` and ``run_sweep``; a bench that cannot be opened leaves no run folder.
+        KeyboardInterrupt: As ``run_sweep``.
+    """
+    log = _EarlyLog()
+    with open_rig(set_up, log, simulated_speed) as rig:
+        now = datetime.now(UTC)
+        path = _free_folder(folder, f"{now:%Y%m%dT%H%M%SZ}_{set_up.plan.procedure.name}")
+        writer = RunWriter.create(path, _manifest(set_up, rig, path.name, keep), set_up.files)
+        log.forward_to(writer)
+        return run_sweep(set_up.plan, rig, writer, sink=sink)
+
+
+def resume(
+    run: Run,
+    set_up: SetUp,
+    *,
+    simulated_speed: float = DEFAULT_SIMULATED_SPEED,
+    sink: EventSink = ignore_events,
+) -> SweepResult:
+    """Open the bench and take up a run that ended early.
+
+    Args:
+        run: The run.
+        set_up: What was read now, by ``read_setup_of``.
+        simulated_speed: How much faster than real time a simulated bench runs.
+        sink: Receives progress.
+
+    Returns:
+        What was taken now.
+
+    Raises:
+        RunError: The set-up changed, or something moved.
+        UvgsError: As ``open_rig`` and ``run_sweep``.
+        KeyboardInterrupt: As ``run_sweep``.
+    """
+    log = _EarlyLog()
+    with open_rig(set_up, log, simulated_speed) as rig:
+        check_same_setup(run, set_up.plan, set_up.hashes(rig.gantry.info))
+        writer = RunWriter.reopen(run, rig.clock.now_ns())
+        log.forward_to(writer)
+        return resume_sweep(run, set_up.plan, rig, writer, sink=sink)
+
+
+class _EarlyLog:
+    """Holds what passes on the wire before there is a run to write it to."""
+
+    def __init__(self) -> None:
+        self._held: list[tuple[int, str, str]] = []
+        self._writer: RunWriter | None = None
+
+    def __call__(self, t_ns: int, direction: str, text: str) -> None:
+        if self._writer is None:
+            self._held.append((t_ns, direction, text))
+        else:
+            self._writer.wire(t_ns, direction, text)
+
+    def forward_to(self, writer: RunWriter) -> Self:
+        for held in self._held:
+            writer.wire(*held)
+        self._held.clear()
+        self._writer = writer
+        return self
+
+
+@contextmanager
+def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIMULATED_SPEED) -> Iterator[Rig]:
+    """Open gantry, camera and sensor, and close them at the end, the gantry last to be opened and first to be closed.
+
+    Args:
+        set_up: What was read.
+        log: Receives everything on the gantry's wire.
+        simulated_speed: How much faster than real time a simulated bench runs.
+
+    Yields:
+        The open devices; the sensor has its kernels compiled and has seen that the camera's pictures fit.
+
+    Raises:
+        UvgsError: Gantry or camera cannot be opened, or the camera's pictures do not fit the calibration.
+    """
+    with ExitStack() as stack:
+        clock: Clock = RealClock()
+        gantry_spec, camera_spec = set_up.gantry_spec, set_up.camera_spec
+        if _is_own_gantry(gantry_spec):
+            from uvgs_bench.devices.sim.bench import start_simulated_bench
+
+            twin = start_simulated_bench(set_up.bench, set_up.beacon, speed=simulated_speed, seed=set_up.noise_seed)
+            stack.callback(twin.close)
+            clock, gantry_spec = twin.clock, twin.gantry_spec
+            camera_spec = twin.camera_spec if _is_own_camera(camera_spec) else camera_spec
+        sensor = Uvgs(set_up.calibration, set_up.beacon, set_up.config, clock=_stage_clock)
+        sensor.warm_up()
+        camera = stack.enter_context(open_camera(camera_spec, clock=clock))
+        gantry = stack.enter_context(
+            open_gantry(
+                gantry_spec,
+                set_up.bench.envelope,
+                clock=clock,
+                log=log,
+                homing_timeout_s=set_up.bench.homing_timeout_s,
+            )
+        )
+        yield Rig(gantry, camera, sensor, clock)
+
+
+def _stage_clock() -> float:
+    import time
+
+    return time.perf_counter()
+
+
+def _is_simulated(spec: str) -> bool:
+    return spec.startswith(("sim:", "grbl:sim:"))
+
+
+def _is_own_gantry(spec: str) -> bool:
+    """Whether a spec means the simulated gantry of the bench file, not one that runs already."""
+    return spec in ("grbl:sim:", "grbl:sim://")
+
+
+def _is_own_camera(spec: str) -> bool:
+    return spec == "sim:"
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror or error}", str(path)) from None
+
+
+def _free_folder(folder: Path, name: str) -> Path:
+    """The name, or with a number when two runs begin in the same second."""
+    path, number = folder / name, 1
+    while path.exists():
+        number += 1
+        path = folder / f"{name}-{number}"
+    return path
+
+
+def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
+    procedure, info = set_up.plan.procedure, rig.gantry.info
+    return RunManifest(
+        id=run_id,
+        created_utc=utc_now(),
+        procedure_name=procedure.name,
+        mount=set_up.bench.mount,
+        axes=set_up.bench.envelope.axes,
+        limits=procedure.limits,
+        seed=procedure.seed,
+        hashes=set_up.hashes(info),
+        versions=_versions(),
+        gantry_info=_gantry_info(info.firmware, info.version, info.options, info.settings),
+        camera_spec=set_up.camera_spec,
+        gantry_spec=set_up.gantry_spec,
+        simulated=set_up.is_simulated,
+        plan_hash=set_up.plan.plan_hash,
+        station_count=len(set_up.plan.stations),
+        captures_per_station=procedure.captures_per_station,
+        keep=keep,
+        started_t_ns=rig.clock.now_ns(),
+        settle_s=procedure.settle_s,
+        sources=set_up.sources,
+    )
+
+
+def _gantry_info(firmware: str, release: str, options: str, settings: Mapping[str, str]) -> dict[str, str]:
+    return {"firmware": firmware, "version": release, "options": options, **settings}
+
+
+def _versions() -> dict[str, str]:
+    versions = {"uvgs_bench": __version__, "python": platform.python_version(), "system": platform.platform()}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            # Another build of the same library may stand in for it.
+            continue
+    return versions
