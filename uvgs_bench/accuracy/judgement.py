@@ -178,7 +178,7 @@ def judge(
     found = availability(obs, rng)
     alerts: list[Alert] = []
     if not run_completed:
-        alerts.append(Alert("warning", "the run did not reach its end: figures cover only what was taken"))
+        alerts.append(Alert("warning", "the run did not reach its end: the figures cover only what was taken"))
     try:
         registration, fitted_on, table, split = _register_and_judge(obs, gantry_sigma_m, nominal)
     except RegistrationError as error:
@@ -191,6 +191,11 @@ def judge(
     summary = summarise(table, rng)
     verdicts = tuple(_limit_verdict(limit, summary, found) for limit in limits)
     alerts += _registration_alerts(registration) + _summary_alerts(summary)
+    shared = _places_of_both_roles(obs)
+    if shared:
+        alerts.append(
+            Alert("warning", f"{shared} places both register and judge: their errors are flattered by the registration")
+        )
     if not limits:
         alerts.append(Alert("note", "no limits were given: there is nothing to pass or fail"))
     return Judgement(
@@ -241,6 +246,11 @@ def _register_and_judge(
         f"no stations set apart: each fifth of {len(places)} places judged by a registration on the other four fifths"
     )
     return registration, obs, concatenated(parts), split
+
+
+def _places_of_both_roles(obs: Observations) -> int:
+    registers = obs.has_role("register")
+    return len(set(obs.place[registers].tolist()) & set(obs.place[~registers].tolist()))
 
 
 def _limit_verdict(limit: Limit, summary: AccuracySummary | None, found: Availability) -> LimitVerdict:

@@ -1,0 +1,106 @@
+"""``uvgs register``: how the frames of a run sit together, and how well the data tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from uvgs_bench.cli.options import Force, Json, Seed
+from uvgs_bench.errors import RegistrationError
+
+if TYPE_CHECKING:
+    from uvgs_bench.accuracy import Judgement
+
+
+def register(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    out_file: Annotated[Path | None, typer.Option("--out", help="Write the registration as TOML.")] = None,
+    force: Force = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Register camera, gantry and beacon of a run; say what is seen, what is not, and what errors remain."""
+    from uvgs_bench.cli.console import emit_json, print_path
+    from uvgs_bench.store.judging import judge_run
+    from uvgs_bench.store.registrations import registration_tables, write_registration
+    from uvgs_bench.store.run import read_run
+
+    found = read_run(run)
+    judgement = judge_run(found, seed=seed)
+    registration = judgement.registration
+    if registration is None:
+        raise RegistrationError(next(alert.text for alert in judgement.alerts if alert.level == "error"))
+    if out_file is not None:
+        write_registration(out_file, registration, found.manifest.id, force=force)
+    if as_json:
+        emit_json(
+            registration_tables(registration, found.manifest.id) | {"split": judgement.split} | _errors(judgement)
+        )
+        return
+    _print_registration(judgement)
+    if out_file is not None:
+        print_path("written", out_file)
+
+
+def _errors(judgement: Judgement) -> dict[str, Any]:
+    """RMS figures in sample and held out, with intervals, in mm and degrees."""
+    from uvgs_bench.units import deg_from_rad, mm_from_m
+
+    figures: dict[str, Any] = {}
+    for key, summary in (("in_sample", judgement.in_sample_summary), ("held_out", judgement.summary)):
+        if summary is None:
+            figures[key] = None
+            continue
+        position, attitude = summary.components["position"].rms, summary.components["attitude"].rms
+        in_mm, in_deg = position.scaled(mm_from_m(1.0)), attitude.scaled(deg_from_rad(1.0))
+        figures[key] = {
+            "stations": summary.station_count,
+            "captures": summary.capture_count,
+            "position_rms_mm": [in_mm.value, in_mm.low, in_mm.high],
+            "attitude_rms_deg": [in_deg.value, in_deg.low, in_deg.high],
+        }
+    return figures
+
+
+def _print_registration(judgement: Judgement) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from uvgs_bench.cli.console import out
+    from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
+    from uvgs_bench.units import deg_from_rad, mm_from_m
+
+    registration = judgement.registration
+    assert registration is not None
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("transform", "x mm", "y mm", "z mm", "yaw deg", "pitch deg", "roll deg"):
+        table.add_column(heading, justify="left" if heading == "transform" else "right", no_wrap=True)
+    for pose, (turn, shift) in (
+        (registration.left, registration.sigmas("left")),
+        (registration.right, registration.sigmas("right")),
+    ):
+        angles = [deg_from_rad(angle) for angle in euler_zyx_from_rotation(pose.R)]
+        place = [mm_from_m(float(value)) for value in pose.t_m]
+        row = [f"{v:.3f}" for v in place] + [f"{v:.4f}" for v in angles]
+        table.add_row(f"{pose.target}_from_{pose.source}", *row)
+        doubts = [f"± {mm_from_m(float(s)):.3f}" if s > 1e-9 else "held" for s in shift]
+        turns = [f"{deg_from_rad(float(s)):.4f}" for s in turn]
+        table.add_row("", *doubts, "", "", "", style="dim")
+        table.add_row("", f"[dim]turn about {pose.target} x, y, z: ± {', '.join(turns)} deg[/]")
+    out.print(table)
+    out.print(f"sees {registration.rank} of 12 directions; gauge: {escape(registration.gauge)}")
+    for text in registration.blind_spots:
+        out.print(f"- {escape(text)}")
+    out.print(f"{judgement.split}; noise level {registration.variance_factor**0.5:.2f} of what the sensor states")
+    for key, figure in _errors(judgement).items():
+        if figure is not None:
+            mm, deg = figure["position_rms_mm"], figure["attitude_rms_deg"]
+            out.print(
+                f"{key.replace('_', ' '):<10} RMS {mm[0]:.3f} mm ({mm[1]:.3f} to {mm[2]:.3f}), "
+                f"{deg[0]:.4f} deg ({deg[1]:.4f} to {deg[2]:.4f}), {figure['stations']} places"
+            )
+    for alert in judgement.alerts:
+        if alert.level != "note":
+            out.print(f"[yellow]{alert.level}:[/] {escape(alert.text)}")

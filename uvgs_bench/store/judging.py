@@ -1,0 +1,40 @@
+"""Judge a run as it lies on disk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uvgs_bench.accuracy import Judgement, judge
+from uvgs_bench.accuracy.judgement import Alert
+from uvgs_bench.store.observations import observations_from_run
+
+if TYPE_CHECKING:
+    from uvgs_bench.store.run_types import Run
+
+
+def judge_run(run: Run, *, seed: int = 0) -> Judgement:
+    """Register the frames of a run, compute its errors and hold them against the limits it was taken for.
+
+    Args:
+        run: A run, finished or not; one that did not end well is judged on what it has, with an alert.
+        seed: Seed of the intervals; the same run and seed give the same judgement.
+
+    Returns:
+        The judgement.
+    """
+    judgement = judge(
+        observations_from_run(run), run.manifest.limits, np.random.default_rng(seed), run_completed=run.is_complete
+    )
+    remarks = [Alert("warning", remark) for remark in run.remarks]
+    if run.ended != "completed":
+        word = run.ended or "still running or killed"
+        remarks.append(Alert("warning", f"the run is {word}" + (f": {run.end_reason}" if run.end_reason else "")))
+    if run.seams:
+        shift = max(seam.shift_m for seam in run.seams)
+        remarks.append(
+            Alert("note", f"the run was resumed {len(run.seams)} times; the bench had shifted by up to {shift:.1e} m")
+        )
+    return replace(judgement, alerts=judgement.alerts + tuple(remarks))

@@ -1,0 +1,61 @@
+"""From a run on disk to the plain numbers that are judged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.devices.gantry.axes import gantry_from_carriage
+from uvgs_bench.geometry import FloatArray, Pose, read_only
+from uvgs_bench.sensor.outcome import PoseEstimate
+
+if TYPE_CHECKING:
+    from uvgs_bench.store.run_types import Run
+
+
+def observations_from_run(run: Run) -> Observations:
+    """Put what the gantry reported and what the sensor answered side by side.
+
+    The carriage is where the nominal axes put it at the reported position, not at the commanded one.
+
+    Args:
+        run: A run, finished or not.
+
+    Returns:
+        One row per sample, in the order of taking; rows of a miss hold NaN in the sensor's fields.
+    """
+    samples = run.samples
+    N, A = len(samples), len(run.manifest.axes)
+    R_gs, t_gs = np.empty((N, 3, 3)), np.empty((N, 3))
+    R_cb, t_cb, covariance = np.full((N, 3, 3), np.nan), np.full((N, 3), np.nan), np.full((N, 6, 6), np.nan)
+    known: dict[bytes, Pose] = {}
+    for i, sample in enumerate(samples):
+        at = sample.position.tobytes()
+        if at not in known:
+            known[at] = gantry_from_carriage(run.manifest.axes, sample.position)
+        R_gs[i], t_gs[i] = known[at].R, known[at].t_m
+        if isinstance(sample.outcome, PoseEstimate):
+            R_cb[i] = sample.outcome.camera_from_beacon.R
+            t_cb[i] = sample.outcome.camera_from_beacon.t_m
+            covariance[i] = sample.outcome.covariance
+    return Observations(
+        station=np.array([sample.station for sample in samples], dtype=np.int64),
+        role=tuple(sample.role for sample in samples),
+        t_ns=np.array([sample.t_ns for sample in samples], dtype=np.int64),
+        axis_position=_stacked([sample.position for sample in samples], A),
+        R_gs=read_only(R_gs),
+        t_gs_m=read_only(t_gs),
+        R_cb=read_only(R_cb),
+        t_cb_m=read_only(t_cb),
+        covariance=read_only(covariance),
+        is_solved=np.array([sample.is_solved for sample in samples], dtype=np.bool_),
+        reason=tuple(sample.reason for sample in samples),
+        mount=run.manifest.mount,
+        place=np.array([sample.waypoint for sample in samples], dtype=np.int64),
+    )
+
+
+def _stacked(rows: list[FloatArray], width: int) -> FloatArray:
+    return read_only(np.array(rows, dtype=np.float64).reshape(len(rows), width))
