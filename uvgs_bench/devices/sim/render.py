@@ -91,11 +91,6 @@ class Renderer:
         self._light = np.zeros((camera.height_px, camera.width_px, self.channels))
         self._background: dict[float, NDArray[np.uint8] | NDArray[np.uint16]] = {}
 
-    @property
-    def max_dn(self) -> int:
-        """Largest value of the converter, DN."""
-        return (1 << self.camera.bit_depth) - 1
-
     def generator(self, index: int) -> np.random.Generator:
         """The source of everything random in a capture."""
         return np.random.default_rng((self.seed, 2, index))
@@ -121,7 +116,7 @@ class Renderer:
         boxes = [box for box in boxes if box[0] < box[1] and box[2] < box[3]]
         for top, bottom, left, right in boxes:
             window = (slice(top, bottom), slice(left, right))
-            image[window] = self._read_out(self._light[window] + self.camera.background_dn * gain, rng)
+            image[window] = read_out(self._light[window] + self.camera.background_dn * gain, self.camera, rng)
         for top, bottom, left, right in boxes:
             self._light[top:bottom, left:right] = 0.0
         return image if self.channels == 3 else image[:, :, 0]
@@ -151,16 +146,29 @@ class Renderer:
     def _shifted_background(self, gain: float, rng: np.random.Generator) -> NDArray[np.uint8] | NDArray[np.uint16]:
         if gain not in self._background:
             dark = np.full(self._light.shape, self.camera.background_dn * gain)
-            self._background = {gain: self._read_out(dark, np.random.default_rng((self.seed, 3)))}
+            self._background = {gain: read_out(dark, self.camera, np.random.default_rng((self.seed, 3)))}
         shift = tuple(int(n) for n in rng.integers(0, self._light.shape[:2]))
         return np.roll(self._background[gain], shift, axis=(0, 1))
 
-    def _read_out(self, light_dn: FloatArray, rng: np.random.Generator) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        camera = self.camera
-        electrons = np.minimum(rng.poisson(light_dn * camera.gain_e_per_dn), camera.full_well_e)
-        read = camera.read_noise_dn * rng.standard_normal(light_dn.shape)
-        value = np.rint(np.clip(camera.black_dn + electrons / camera.gain_e_per_dn + read, 0, self.max_dn))
-        return value.astype(np.uint8) if camera.bit_depth == 8 else value.astype(np.uint16)
+
+def read_out(
+    light_dn: FloatArray, camera: TrueCamera, rng: np.random.Generator
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Light to digits: shot noise, full well, read noise, converter.
+
+    Args:
+        light_dn: Expected light, any shape, DN.
+        camera: The true sensor.
+        rng: Source of the noise.
+
+    Returns:
+        Values of the same shape, uint8, or uint16 for more than 8 bit.
+    """
+    electrons = np.minimum(rng.poisson(light_dn * camera.gain_e_per_dn), camera.full_well_e)
+    read = camera.read_noise_dn * rng.standard_normal(light_dn.shape)
+    largest = (1 << camera.bit_depth) - 1
+    value = np.rint(np.clip(camera.black_dn + electrons / camera.gain_e_per_dn + read, 0, largest))
+    return value.astype(np.uint8) if camera.bit_depth == 8 else value.astype(np.uint16)
 
 
 def disc_points(emitter: Emitter, rings: int) -> tuple[FloatArray, FloatArray]:
