@@ -71,12 +71,12 @@ def style(key: str) -> Any:
     return matplotlib.rc_context({**_STYLE, "svg.hashsalt": key})
 
 
-def canvas(height_in: float = 3.3, width_in: float = WIDTH_IN) -> Canvas:
-    """An empty figure that arranges its own margins.
+def canvas(height_in: float = 3.3, *, arranges_itself: bool = True) -> Canvas:
+    """An empty figure.
 
     Args:
         height_in: Height, inches.
-        width_in: Width, inches.
+        arranges_itself: Whether it chooses its own margins.
 
     Returns:
         The matplotlib figure.
@@ -84,7 +84,7 @@ def canvas(height_in: float = 3.3, width_in: float = WIDTH_IN) -> Canvas:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained" if arranges_itself else None)
     FigureCanvasAgg(figure)
     return figure
 

@@ -86,9 +86,8 @@ def overlay_png(
 def _window(image: NDArray[np.uint8], points_px: FloatArray) -> tuple[int, int, int, int]:
     """A square window around the points, or the whole picture when there are none in it."""
     height, width = image.shape[:2]
-    inside = np.isfinite(points_px).all(axis=1)
-    inside[inside] &= ((points_px[inside] >= 0.0) & (points_px[inside] < [width, height])).all(axis=1)
-    points = points_px[inside]
+    points = points_px[np.isfinite(points_px).all(axis=1)]
+    points = points[((points >= 0.0) & (points < [width, height])).all(axis=1)]
     if not len(points):
         return 0, 0, width, height
     low, high = points.min(axis=0), points.max(axis=0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uvgs_bench.accuracy.statistics import ComponentStatistics, Estimate
+from uvgs_bench.accuracy.statistics import Estimate
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Interval, Measured, Number, decimals_for
 from uvgs_bench.units import deg_from_rad, mm_from_m
@@ -84,17 +84,6 @@ def measured(estimate: Estimate, scale: Scale, decimals: int) -> Measured:
     """A figure and its interval, for a table cell."""
     e = estimate.scaled(scale.factor)
     return Measured(Number(e.value, decimals, scale.unit), Interval(e.low, e.high, decimals, scale.unit))
-
-
-def all_estimates(statistics: ComponentStatistics) -> tuple[Estimate, ...]:
-    """Every estimate of one component."""
-    s = statistics
-    return s.bias, s.spread, s.rms, s.median, s.p95, s.max, s.within_station, s.between_stations
-
-
-def notes_of(estimates: Iterable[Estimate]) -> tuple[str, ...]:
-    """Why intervals are open or missing, each reason once, in order of appearance."""
-    return tuple(dict.fromkeys(e.note for e in estimates if e.note))
 
 
 def station_means(station: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: FloatArray) -> FloatArray:

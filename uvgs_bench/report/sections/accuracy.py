@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from uvgs_bench.accuracy.judgement import Judgement
-from uvgs_bench.accuracy.statistics import AccuracySummary, ComponentStatistics
+from uvgs_bench.accuracy.statistics import AccuracySummary, ComponentStatistics, Estimate
 from uvgs_bench.report.document import Block, Cell, Column, Number, Paragraph, Section, Table
 from uvgs_bench.report.quantities import (
     COMPONENT_WORDS,
     SCALES,
     Scale,
-    all_estimates,
     decimals_of,
     measured,
-    notes_of,
 )
 from uvgs_bench.store.run import Run
 
@@ -41,20 +39,33 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         blocks.append(
             _statistics_table(summary, names, f"{what} error, held-out stations, 95 % interval below each figure.")
         )
-    notes = notes_of(e for c in summary.components.values() for e in all_estimates(c))
-    blocks.extend(Paragraph(f"Open intervals: {note}") for note in notes)
     blocks.append(_repeatability_table(summary))
     if judgement.in_sample_summary is not None:
         blocks.append(_comparison_table(judgement.in_sample_summary, summary))
     blocks.append(_context_table(summary, judgement))
+    open_rows = tuple((COMPONENT_WORDS[name], notes) for name, c in summary.components.items() if (notes := _notes(c)))
+    if open_rows:
+        columns = (Column("Component"), Column("Because"))
+        blocks.append(Table("Why some intervals are open or missing.", columns, open_rows))
     return Section("accuracy", title, tuple(blocks))
+
+
+def _notes(statistics: ComponentStatistics) -> str:
+    """Each reason once, after the names of the figures it holds for."""
+    names: dict[str, list[str]] = {}
+    for label, field in {**_STATISTICS, "Within": "within_station", "Between": "between_stations"}.items():
+        estimate: Estimate = getattr(statistics, field)
+        if estimate.note:
+            names.setdefault(estimate.note, []).append(label)
+    return "; ".join(f"{', '.join(labels)}: {note}" for note, labels in names.items())
 
 
 def _introduction(summary: AccuracySummary) -> str:
     return (
         f"{summary.capture_count} captures at {summary.station_count} stations that took no part in the registration, "
-        f"{summary.range_min_m:.3f} m to {summary.range_max_m:.3f} m from the camera. Errors are observed minus expected, "
-        "in camera axes. Intervals come from resampling whole stations: captures of one station are not independent."
+        f"{summary.range_min_m:.3f} m to {summary.range_max_m:.3f} m from the camera. Errors are observed minus "
+        "expected, in camera axes. Intervals come from resampling whole stations: captures of one station are not "
+        "independent."
     )
 
 
@@ -67,11 +78,11 @@ def _statistics_table(summary: AccuracySummary, names: tuple[str, ...], caption:
     scale = SCALES[chosen[0].unit]
     decimals = decimals_of([c.rms for c in chosen], scale.factor)
     columns = (Column("Component"), *(Column(label, scale.unit, True) for label in _STATISTICS))
-    rows = tuple(
-        (COMPONENT_WORDS[c.name], *(measured(getattr(c, field), scale, decimals) for field in _STATISTICS.values()))
-        for c in chosen
-    )
-    return Table(caption, columns, rows)
+    rows: list[tuple[Cell, ...]] = []
+    for c in chosen:
+        estimates: list[Estimate] = [getattr(c, field) for field in _STATISTICS.values()]
+        rows.append((COMPONENT_WORDS[c.name], *(measured(e, scale, decimals) for e in estimates)))
+    return Table(caption, columns, tuple(rows))
 
 
 def _repeatability_table(summary: AccuracySummary) -> Table:
@@ -99,9 +110,8 @@ def _comparison_table(in_sample: AccuracySummary, held_out: AccuracySummary) -> 
         fitted, judged = in_sample.components[name].rms, held_out.components[name].rms
         scale = SCALES[held_out.components[name].unit]
         decimals = decimals_of([judged, fitted], scale.factor)
-        rows.append(
-            (f"{COMPONENT_WORDS[name]}, RMS", measured(fitted, scale, decimals), measured(judged, scale, decimals))
-        )
+        pair = (measured(e, scale, decimals) for e in (fitted, judged))
+        rows.append((f"{COMPONENT_WORDS[name]}, RMS", *pair))
     caption = (
         f"Why stations are held out: the same errors on the {in_sample.station_count} stations the registration was "
         f"fitted on (optimistic, never judged) and on the {held_out.station_count} others."
@@ -127,7 +137,7 @@ def _context_table(summary: AccuracySummary, judgement: Judgement) -> Table:
             "root mean square; contained in the held-out errors",
         ),
         (
-            "Beyond five times the predicted error",
+            "Further off than five times the usual distance",
             Number(summary.outlier_count, 0),
             "captures; counted, and included in every figure",
         ),

@@ -40,9 +40,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         Column("Diameter", "mm", True),
     )
     hue = beacon.hue if isinstance(beacon.hue, str) else f"{beacon.hue[0]:g}° to {beacon.hue[1]:g}°"
-    known = (
-        "measured" if sigma_mm is not None else "not measured: LED errors act like a constant pose error and a scale"
-    )
+    known = "measured" if sigma_mm is not None else "not measured: LED errors act like a pose bias and a scale"
     caption = f"Beacon {beacon.name}, {len(beacon.leds)} LEDs, hue {hue}, beacon frame; covariance {known}."
     return Section("beacon", "Beacon", (Table(caption, columns, tuple(rows)), _drawing(beacon)))
 

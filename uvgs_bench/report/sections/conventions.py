@@ -13,11 +13,11 @@ _ITEMS = (
     ("Transforms", "target_from_source maps points of the source into the target: p_c = camera_from_beacon p_b."),
     (
         "Tangent",
-        "ξ = (ω, v), rotation first; updates on the left, T ← exp(ξ^) T; covariances in camera axes, rad and m.",
+        "ξ = (ω, v), rotation first; updates on the left, T ← exp(ξ^) T; covariances in camera axes.",
     ),
     (
         "Rotation errors",
-        "Rotation vectors, never differences of Euler angles. Euler angles are views: intrinsic Z-Y-X, degrees.",
+        "Rotation vectors, never differences of Euler angles. Euler angles: a view, Z-Y-X.",
     ),
     ("Pixels", "(0, 0) is the centre of the top-left pixel; residual = observed − projected."),
     ("Units", "Millimetres and degrees on these pages, SI in the files of the run; time in ns of one monotonic clock."),

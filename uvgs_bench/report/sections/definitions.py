@@ -10,12 +10,12 @@ _ITEMS = (
     ("Position error", "e = t_observed − t_predicted in camera axes; lateral: x and y; depth: z; length ‖e‖."),
     (
         "Attitude error",
-        "θ = Log(R_observed R_predictedᵀ) in camera axes; tilt: about x and y; roll: about z; angle ‖θ‖.",
+        "θ = Log(R_observed R_predictedᵀ) in camera axes; tilt: x and y; roll: z; angle ‖θ‖.",
     ),
     ("Bias", "Mean of the error; for lateral, position and attitude the length of the mean vector (trueness)."),
     (
         "Spread",
-        "Standard deviation about that mean; for vectors the root of the trace of their covariance (precision).",
+        "Standard deviation about that mean; for vectors the root of the covariance's trace (precision).",
     ),
     ("RMS", "Root of the mean square, bias included: RMS² = bias² + spread²."),
     ("Median, 95th percentile, largest", "Of the absolute value of a component, or of the length of a vector."),
@@ -25,7 +25,7 @@ _ITEMS = (
     ("95 % interval", "Range that holds the true figure in 95 of 100 such runs; whole stations are resampled."),
     (
         "Pass, fail, inconclusive",
-        "The interval lies within the limit; outside it; or holds it, so the data cannot tell.",
+        "The interval lies within the limit; outside it; across it, so the data cannot tell.",
     ),
     ("Held out, in sample", "Stations that took no part in the registration; stations it was fitted on."),
     ("NEES", "eᵀ C⁻¹ e of the six-component error with its predicted covariance; 6 on average when C is honest."),

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Figure, Paragraph, Section
-from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of, thinned
 from uvgs_bench.report.palette import INK, SERIES
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.store.run import Run
 
 _DEGREES_OF_FREEDOM = 6
 _SHOWN_SIGMAS = 5.0
+# 95 % point of chi-squared with 6 degrees of freedom.
+_POINT_95 = 12.59
 
 
 def build(run: Run, judgement: Judgement) -> Section | None:
@@ -23,21 +27,23 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     if table is None or not table.is_solved.any():
         return None
     table = table.select(table.is_solved)
-    z = _normalised(run, table)
+    gantry_sigma_m = 0.0 if judgement.registration is None else judgement.registration.gantry_sigma_m
+    z = _normalised(run, table, gantry_sigma_m)
     text = (
-        "Each error is divided by the standard deviation predicted for it (sensor and registration). Taller tails than "
-        "the drawn law mean that the sensor is surer of itself than it should be."
+        "Each error is divided by the standard deviation predicted for it (sensor, gantry and registration). Taller "
+        "tails than the drawn law mean that the sensor is surer of itself than it should be."
     )
     blocks = [Paragraph(text)]
     figures = (
         _components(z[:, 3:], "z-position", ("lateral x", "lateral y", "depth z"), "position"),
         _components(z[:, :3], "z-attitude", ("tilt x", "tilt y", "roll z"), "attitude"),
         _nees(table.nees[np.isfinite(table.nees)]),
+        _nees_by_range(table.select(np.isfinite(table.nees))),
     )
     return Section("distribution", "Errors against the predicted law", (*blocks, *figures))
 
 
-def _normalised(run: Run, table: ErrorTable) -> FloatArray:
+def _normalised(run: Run, table: ErrorTable, gantry_sigma_m: float) -> FloatArray:
     """Errors over their predicted standard deviations, shape (N, 6), rotation first."""
     covariances = {
         (sample.station, sample.t_ns): sample.outcome.covariance
@@ -53,7 +59,7 @@ def _normalised(run: Run, table: ErrorTable) -> FloatArray:
         J = np.eye(6)
         J[3:, :3] = np.array([[0.0, depth, -y], [-depth, 0.0, x], [y, -x, 0.0]])
         F = table.registration_factor[i]
-        variance = np.diag(J @ C @ J.T + F @ F.T)
+        variance = np.diag(J @ C @ J.T + F @ F.T) + np.repeat([0.0, gantry_sigma_m**2], 3)
         error = np.concatenate([table.rotation_error_rad[i], table.translation_error_m[i]])
         z[i] = np.where(variance > 0.0, error / np.sqrt(np.where(variance > 0.0, variance, 1.0)), np.nan)
     return z
@@ -71,10 +77,11 @@ def _components(z: FloatArray, key: str, names: tuple[str, ...], what: str) -> F
     with style(key):
         figure = canvas()
         axes = figure.add_subplot()
-        edges = np.linspace(-_SHOWN_SIGMAS, _SHOWN_SIGMAS, 31)
+        edges = np.linspace(-_SHOWN_SIGMAS, _SHOWN_SIGMAS, _bars(len(z)) + 1)
         for k, name in enumerate(names):
             clipped = np.clip(z[:, k], edges[0] + 1e-9, edges[-1] - 1e-9)
-            axes.hist(clipped, bins=edges, density=True, histtype="step", color=SERIES[k], lw=1.5, label=name)
+            bars: dict[str, Any] = {"bins": edges, "density": True, "histtype": "step", "lw": 1.5}
+            axes.hist(clipped, color=SERIES[k], label=name, **bars)
         grid = np.linspace(-_SHOWN_SIGMAS, _SHOWN_SIGMAS, 201)
         axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi), "--", color=INK, lw=1.2, label="N(0, 1)")
         axes.set_xlabel(f"{what} error / predicted standard deviation")
@@ -88,7 +95,7 @@ def _components(z: FloatArray, key: str, names: tuple[str, ...], what: str) -> F
 def _nees(nees: FloatArray) -> Figure:
     key = "nees"
     mean = float(nees.mean()) if len(nees) else float("nan")
-    above = float((nees > 12.59).mean()) if len(nees) else float("nan")  # 95 % point of chi-squared with 6 dof
+    above = float((nees > _POINT_95).mean()) if len(nees) else float("nan")
     alt = (
         f"NEES of {len(nees)} captures against the chi-squared law of {_DEGREES_OF_FREEDOM} degrees of freedom: mean "
         f"{mean:.2f} ({_DEGREES_OF_FREEDOM} expected), {100 * above:.1f} % above its 95 % point (5 % expected)."
@@ -97,15 +104,9 @@ def _nees(nees: FloatArray) -> Figure:
         figure = canvas()
         axes = figure.add_subplot()
         reach = 30.0
-        edges = np.linspace(0.0, reach, 31)
-        axes.hist(
-            np.clip(nees, 0.0, reach - 1e-9),
-            bins=edges,
-            density=True,
-            color=SERIES[0],
-            alpha=0.65,
-            label="held-out captures",
-        )
+        edges = np.linspace(0.0, reach, _bars(len(nees)) + 1)
+        bars: dict[str, Any] = {"bins": edges, "density": True, "color": SERIES[0], "alpha": 0.65}
+        axes.hist(np.clip(nees, 0.0, reach - 1e-9), label="held-out captures", **bars)
         grid = np.linspace(0.0, reach, 301)
         # Source: the chi-squared density of 6 degrees of freedom, x^2 exp(-x/2) / 16.
         axes.plot(grid, grid**2 * np.exp(-0.5 * grid) / 16.0, "--", color=INK, lw=1.2, label="predicted")
@@ -115,3 +116,34 @@ def _nees(nees: FloatArray) -> Figure:
         svg = svg_of(figure, key, alt)
     caption = "Squared error over the whole predicted covariance, which also knows the correlations."
     return Figure(key, svg, alt, caption, (series("nees", "1", nees),))
+
+
+def _nees_by_range(table: ErrorTable) -> Figure:
+    key = "nees-range"
+    order = np.argsort(table.range_m, kind="stable")
+    near, far = (float(half.mean()) if len(half) else float("nan") for half in np.array_split(table.nees[order], 2))
+    alt = (
+        f"NEES of {table.count} captures against range: mean {near:.2f} in the nearer half, "
+        f"{far:.2f} in the farther half ({_DEGREES_OF_FREEDOM} expected in both)."
+    )
+    with style(key):
+        figure = canvas()
+        axes = figure.add_subplot()
+        shown = thinned(table.count)
+        axes.plot(
+            table.range_m[shown], table.nees[shown], "o", color=SERIES[0], ms=3.4, mew=0, alpha=0.75, label="captures"
+        )
+        axes.axhline(_DEGREES_OF_FREEDOM, ls="--", color=INK, lw=1.2, label="expected mean")
+        axes.axhline(_POINT_95, ls=":", color=INK, lw=1.2, label="expected 95 % point")
+        axes.set_ylim(bottom=0.0)
+        axes.set_xlabel("range to the beacon (m)")
+        axes.set_ylabel("NEES")
+        legend_above(axes, 3)
+        svg = svg_of(figure, key, alt)
+    caption = "Honesty of the covariance over range: marks should scatter about the dashed line everywhere."
+    return Figure(key, svg, alt, caption, (series("range", "m", table.range_m), series("nees", "1", table.nees)))
+
+
+def _bars(count: int) -> int:
+    """Number of bars for so many values (Rice's rule, within reason)."""
+    return int(np.clip(2.0 * np.cbrt(count), 10, 40))

@@ -8,8 +8,9 @@ import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.pose_error import ErrorTable
+from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.report.document import Block, Figure, Paragraph, Section, Series
+from uvgs_bench.report.document import Block, Figure, Paragraph, Section
 from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of, symmetric_limits, thinned
 from uvgs_bench.report.palette import FAINT, MARKERS, SERIES
 from uvgs_bench.store.run import Run
@@ -34,7 +35,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     ]
     blocks.append(_against_range(table, position_mm, "range-position", _POSITION, "position error", "mm"))
     blocks.append(_against_range(table, attitude_deg, "range-attitude", _ATTITUDE, "attitude error", "deg"))
-    blocks.append(_against_axes(run, table, position_mm))
+    blocks.extend(_against_axis(table, position_mm, i, axis) for i, axis in enumerate(run.manifest.axes))
     blocks.append(_against_time(run, table, judgement.in_sample_table))
     return Section("errors", "Errors against range, position and time", tuple(blocks))
 
@@ -49,9 +50,8 @@ def _scatter(axes: Axes, x: FloatArray, errors: FloatArray, names: tuple[str, ..
 def _against_range(
     table: ErrorTable, errors: FloatArray, key: str, names: tuple[str, ...], what: str, unit: str
 ) -> Figure:
-    slope = [
-        float(np.polyfit(table.range_m, errors[:, k], 1)[0]) if np.ptp(table.range_m) > 0 else 0.0 for k in range(3)
-    ]
+    has_range = float(np.ptp(table.range_m)) > 1e-6
+    slope = np.polyfit(table.range_m, errors, 1)[0] if has_range else np.zeros(3)
     largest = np.abs(errors).max(axis=0)
     alt = (
         f"Components of the {what} against range from {table.range_m.min():.3f} m to {table.range_m.max():.3f} m. "
@@ -73,36 +73,30 @@ def _against_range(
     return Figure(key, svg, alt, f"{what.capitalize()} in camera axes against range, held-out captures.", data)
 
 
-def _against_axes(run: Run, table: ErrorTable, errors: FloatArray) -> Figure:
-    axes_of_gantry = run.manifest.axes
-    positions: list[FloatArray] = []
-    labels: list[str] = []
-    for i, axis in enumerate(axes_of_gantry):
-        column = table.axis_position[:, i]
-        positions.append(mm_from_m(column) if axis.kind == "linear" else deg_from_rad(column))
-        labels.append(f"axis {axis.name} ({'mm' if axis.kind == 'linear' else 'deg'})")
-    key = "position-axes"
-    alt = "Components of the position error against the carriage position. " + "; ".join(
-        f"{label} from {p.min():.4g} to {p.max():.4g}: strongest correlation {_strongest(p, errors)}"
-        for label, p in zip(labels, positions, strict=True)
+def _against_axis(table: ErrorTable, errors: FloatArray, i: int, axis: Axis) -> Figure:
+    is_linear = axis.kind == "linear"
+    unit, column = "mm" if is_linear else "deg", table.axis_position[:, i]
+    position = mm_from_m(column) if is_linear else deg_from_rad(column)
+    key = f"position-axis-{i + 1}"
+    alt = (
+        f"Components of the position error against axis {axis.name} from {position.min():.4g} to {position.max():.4g} "
+        f"{unit}: strongest correlation {_strongest(position, errors)}."
     )
     with style(key):
-        figure = canvas(height_in=0.6 + 1.75 * len(positions))
-        panels = figure.subplots(len(positions), 1, squeeze=False)[:, 0]
+        figure = canvas(height_in=2.9)
+        axes = figure.add_subplot()
         shown = thinned(table.count)
-        for panel, position, label in zip(panels, positions, labels, strict=True):
-            _scatter(panel, position[shown], errors[shown], _POSITION)
-            panel.set_xlabel(label)
-            panel.set_ylabel("error (mm)")
-        legend_above(panels[0], 3)
+        _scatter(axes, position[shown], errors[shown], _POSITION)
+        axes.set_xlabel(f"machine position of axis {axis.name} ({unit})".replace("$", r"\$"))
+        axes.set_ylabel("position error (mm)")
+        legend_above(axes, 3)
         svg = svg_of(figure, key, alt)
-    data: list[Series] = [series(n, "mm", errors[:, k]) for k, n in enumerate(_POSITION)]
-    for label, position in zip(labels, positions, strict=True):
-        name, unit = label.removesuffix(")").split(" (")
-        data.append(series(name, unit, position))
-    return Figure(
-        key, svg, alt, "Position error in camera axes against each machine axis, held-out captures.", tuple(data)
+    caption = f"Position error in camera axes against machine axis {axis.name}, held-out captures."
+    data = (
+        series(f"axis {axis.name}", unit, position),
+        *(series(n, "mm", errors[:, k]) for k, n in enumerate(_POSITION)),
     )
+    return Figure(key, svg, alt, caption, data)
 
 
 def _strongest(position: FloatArray, errors: FloatArray) -> str:
@@ -120,11 +114,11 @@ def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> 
     held_s = _seconds(table, start)
     held_mm = mm_from_m(table.position_error_m)
     half = len(held_mm) // 2
+    early = float(np.median(held_mm[: max(half, 1)]))
     key = "time"
     alt = (
-        f"Length of the position error over {held_s.max():.0f} s of the run. Held-out captures: median "
-        f"{np.median(held_mm[:half]) if half else held_mm[0]:.3g} mm in the first half, {np.median(held_mm[half:]):.3g} mm in "
-        "the second."
+        f"Length of the position error over {held_s.max():.0f} s of the run. Held-out captures: median {early:.3g} mm "
+        f"in the first half, {np.median(held_mm[half:]):.3g} mm in the second."
     )
     data = [series("time", "s", held_s), series("position error", "mm", held_mm)]
     with style(key):

@@ -9,7 +9,6 @@ from uvgs_bench.report.document import Block, Cell, Column, Gallery, Number, Par
 from uvgs_bench.report.pictures import overlay_png, read_picture
 from uvgs_bench.sensor.outcome import Miss
 from uvgs_bench.store.run import Run, Sample
-from uvgs_bench.units import deg_from_rad, mm_from_m
 
 _LISTED = 20
 _PICTURED = 3
@@ -51,10 +50,7 @@ def _split(reason: str) -> tuple[str, str]:
 
 def _row(run: Run, sample: Sample, miss: Miss) -> tuple[Cell, ...]:
     where = ", ".join(
-        f"{axis.name} {mm_from_m(float(q)):.1f} mm"
-        if axis.kind == "linear"
-        else f"{axis.name} {deg_from_rad(float(q)):.2f}°"
-        for axis, q in zip(run.manifest.axes, sample.position, strict=False)
+        f"{axis.name} {axis.described(float(q))}" for axis, q in zip(run.manifest.axes, sample.position, strict=False)
     )
     return str(sample.index), str(sample.station), where, f"{miss.stage}: {miss.reason.replace('_', ' ')}", miss.detail
 

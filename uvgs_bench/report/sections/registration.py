@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.registration import Registration
 from uvgs_bench.geometry import FloatArray, Pose
-from uvgs_bench.geometry.se3 import euler_zyx_from_rotation, hat
+from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
 from uvgs_bench.report.document import Alert, Alerts, Block, Cell, Column, Number, Paragraph, Section, Table
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m
@@ -24,15 +22,15 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     blocks: list[Block] = [
         Paragraph(
             f"Fitted to {r.capture_count} captures at {r.station_count} stations by robust least squares on poses; "
-            f"{r.downweighted_count} captures weighed less, {r.outlier_count} far out. The scale of the sensor is never "
-            "fitted: it would hide the error one looks for."
+            f"captures with lowered weight: {r.downweighted_count}, beyond five times the usual distance: "
+            f"{r.outlier_count}. The sensor's scale is never fitted: it would hide the error one looks for."
         ),
-        _pose_table(r.left, r.covariance[:6, :6]),
-        _pose_table(r.right, r.covariance[6:, 6:]),
+        _pose_table(r.left, *r.sigmas("left")),
+        _pose_table(r.right, *r.sigmas("right")),
         _quality_table(r),
         Paragraph(
-            "Registration absorbs any constant offset between what the sensor sees and where the gantry is: what remains "
-            "is noise, linearity, scale, depth error, drift and cross-coupling. Absolute trueness needs an independent link."
+            "Registration absorbs any constant offset between what the sensor sees and where the gantry is. What "
+            "remains is noise, linearity, scale, depth error, drift and cross-coupling; absolute trueness needs more."
         ),
     ]
     if r.blind_spots:
@@ -40,12 +38,8 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     return Section("registration", title, tuple(blocks))
 
 
-def _pose_table(pose: Pose, covariance: FloatArray) -> Table:
-    # The tangent is on the left, so the translation itself moves by v + omega x t.
-    J = np.hstack([-hat(pose.t_m), np.eye(3)])
-    sigma_t_mm = mm_from_m(np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0)))
-    sigma_r_deg = deg_from_rad(np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)))
-    t_mm = mm_from_m(pose.t_m)
+def _pose_table(pose: Pose, sigma_rad: FloatArray, sigma_m: FloatArray) -> Table:
+    t_mm, sigma_t_mm, sigma_r_deg = mm_from_m(pose.t_m), mm_from_m(sigma_m), deg_from_rad(sigma_rad)
     yaw, pitch, roll = euler_zyx_from_rotation(pose.R)
     rows: tuple[tuple[Cell, ...], ...] = (
         *(
@@ -63,8 +57,8 @@ def _pose_table(pose: Pose, covariance: FloatArray) -> Table:
     )
     columns = (Column("Quantity"), Column("Value", is_numeric=True), Column("Standard deviation", is_numeric=True))
     caption = (
-        f"{pose.target}_from_{pose.source}: {pose.source} origin in {pose.target} axes; angles intrinsic Z-Y-X, a view only; "
-        f"rotation doubt about {pose.target} axes. Doubts hold in the gauge below."
+        f"{pose.target}_from_{pose.source}: {pose.source} origin in {pose.target} axes; angles intrinsic Z-Y-X, a view "
+        f"only; rotation doubt about {pose.target} axes. Doubts hold in the gauge below."
     )
     return Table(caption, columns, rows)
 

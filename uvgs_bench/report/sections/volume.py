@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.report.document import Figure, Section
+from uvgs_bench.report.document import Figure, Section, Series
 from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
 from uvgs_bench.report.palette import FAINT, ORANGE, SERIES
 from uvgs_bench.report.quantities import station_means
@@ -16,6 +17,8 @@ from uvgs_bench.store.run import Run
 from uvgs_bench.units import mm_from_m
 
 _ARROW_SHARE = 0.18
+_FORWARD = 2
+_AXES = ("x, right (m)", "y, down (m)", "z, forward (m)")
 
 
 def build(run: Run, judgement: Judgement) -> Section | None:
@@ -36,24 +39,9 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     magnification = _rounded_down(_ARROW_SHARE * extent / longest) if longest > 0.0 and extent > 0.0 else 1.0
     figures = (
         _view_3d(places, errors, fitted, magnification),
-        _plane(
-            places,
-            errors,
-            magnification,
-            "volume-front",
-            (0, 1),
-            ("x, right (m)", "y, down (m)"),
-            "Seen along the axis",
-        ),
-        _plane(
-            places,
-            errors,
-            magnification,
-            "volume-side",
-            (2, 1),
-            ("z, forward (m)", "y, down (m)"),
-            "Seen from the side",
-        ),
+        _plane(places, errors, magnification, "volume-front", (0, 1), "Seen along the optical axis"),
+        _plane(places, errors, magnification, "volume-side", (2, 1), "Seen from the side"),
+        _plane(places, errors, magnification, "volume-top", (0, 2), "Seen from above"),
     )
     return Section("volume", "Error vectors over the volume", figures)
 
@@ -64,7 +52,7 @@ def _rounded_down(value: float) -> float:
     return math.floor(value / power) * power
 
 
-def _data(places: FloatArray, errors: FloatArray) -> tuple[object, ...]:
+def _data(places: FloatArray, errors: FloatArray) -> tuple[Series, ...]:
     names = ("x", "y", "z")
     return (
         *(series(f"station {n}", "m", places[:, k]) for k, n in enumerate(names)),
@@ -77,16 +65,17 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
     worst = int(np.argmax(length_mm))
     mean = mm_from_m(errors.mean(axis=0))
     key = "volume-3d"
+    place = places[worst]
     alt = (
-        f"{len(places)} held-out stations in the camera frame, each with its mean error vector, {magnification:g} times as "
-        f"long as true. Longest {length_mm[worst]:.3g} mm at x {places[worst, 0]:.3f} m, y {places[worst, 1]:.3f} m, "
-        f"z {places[worst, 2]:.3f} m; mean vector x {mean[0]:+.3g} mm, y {mean[1]:+.3g} mm, z {mean[2]:+.3g} mm."
+        f"{len(places)} held-out stations in the camera frame with their mean error vectors, {magnification:g} times "
+        f"as long as true. Longest {length_mm[worst]:.3g} mm at x {place[0]:.3f} m, y {place[1]:.3f} m, "
+        f"z {place[2]:.3f} m; mean vector x {mean[0]:+.3g} mm, y {mean[1]:+.3g} mm, z {mean[2]:+.3g} mm."
     )
     # Plotted as (forward, right, up), so that the picture stands upright while the ticks keep the camera's axes.
     order, sign = (2, 0, 1), np.array([1.0, 1.0, -1.0])
     with style(key):
-        figure = canvas(height_in=4.2)
-        axes = figure.add_subplot(projection="3d")
+        figure = canvas(height_in=3.6, arranges_itself=False)
+        axes: Any = figure.add_axes((0.0, 0.02, 0.97, 0.93), projection="3d")
         for cloud, colour, marker, label in (
             (fitted, FAINT, "x", "registration stations"),
             (places, SERIES[0], "o", "held-out stations"),
@@ -102,21 +91,19 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
         axes.set_xlabel("z, forward (m)")
         axes.set_ylabel("x, right (m)")
         axes.set_zlabel("-y, up (m)")
-        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.82)
+        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.86)
         axes.view_init(elev=22, azim=-118)
         axes.tick_params(labelsize=7.5)
         for which in (axes.xaxis, axes.yaxis, axes.zaxis):
             which.pane.fill = False
             which.set_major_locator(_few_ticks())
-        legend_above(axes, 1)
+        figure.legend(loc="upper left", ncols=3, handletextpad=0.3, columnspacing=0.9, borderaxespad=0.2)
         svg = svg_of(figure, key, alt)
-    caption = (
-        f"Stations in the camera frame with their mean error vectors, drawn {magnification:g} times as long as true."
-    )
-    return Figure(key, svg, alt, caption, _data(places, errors))  # type: ignore[arg-type]
+    caption = f"Stations in the camera frame with their mean error vectors, {magnification:g} times as long as true."
+    return Figure(key, svg, alt, caption, _data(places, errors))
 
 
-def _few_ticks() -> object:
+def _few_ticks() -> Any:
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(nbins=4)
@@ -135,14 +122,15 @@ def _plane(
     magnification: float,
     key: str,
     pair: tuple[int, int],
-    labels: tuple[str, str],
     view: str,
 ) -> Figure:
     a, b = pair
+    labels = (_AXES[a], _AXES[b])
     in_plane_mm = mm_from_m(np.hypot(errors[:, a], errors[:, b]))
     alt = (
         f"{view}: mean errors of {len(places)} held-out stations in the plane of {labels[0]} and {labels[1]}, "
-        f"{magnification:g} times as long as true; median {np.median(in_plane_mm):.3g} mm, longest {in_plane_mm.max():.3g} mm."
+        f"{magnification:g} times as long as true; median {np.median(in_plane_mm):.3g} mm, longest "
+        f"{in_plane_mm.max():.3g} mm."
     )
     with style(key):
         figure = canvas(height_in=3.6)
@@ -151,13 +139,13 @@ def _plane(
         arrows = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.005, "headwidth": 4.0}
         shift = errors * magnification
         axes.quiver(places[:, a], places[:, b], shift[:, a], shift[:, b], color=ORANGE, zorder=3, **arrows)
-        ends = places + shift
-        for k, set_limits in ((a, axes.set_xlim), (b, axes.set_ylim)):
-            low, high = min(places[:, k].min(), ends[:, k].min()), max(places[:, k].max(), ends[:, k].max())
-            margin = 0.06 * max(high - low, 1e-3)
-            set_limits(low - margin, high + margin)
+        # The arrows take part in the limits too.
+        axes.update_datalim(np.vstack([places, places + shift])[:, list(pair)])
+        axes.margins(0.08)
+        axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
-        axes.invert_yaxis()
+        if b != _FORWARD:
+            axes.invert_yaxis()
         axes.set_xlabel(labels[0])
         axes.set_ylabel(labels[1])
         legend_above(axes, 1)
