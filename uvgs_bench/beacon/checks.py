@@ -17,8 +17,9 @@ from uvgs_bench.units import mm_from_m
 COINCIDENT_M = 1e-3
 # Below this thickness relative to size, pose is as weak as from a flat marker seen from the front.
 FLAT_RATIO = 0.1
-# A relabeling that fits this well relative to size is told apart only by luck.
-SYMMETRIC_RATIO = 0.1
+# A relabeling that fits this well relative to size is told apart only from near: a twentieth of a beacon 150 mm across
+# is 1.5 px at 3 m and a focal length of 608 px, some eight deviations of a poor centroid.
+SYMMETRIC_RATIO = 0.05
 # Relabelings are enumerated exactly up to this many LEDs; beyond it no regular solid is likely by accident.
 _MAX_ENUMERATED = 7
 
@@ -123,8 +124,8 @@ def check_beacon(beacon: Beacon) -> tuple[BeaconWarning, ...]:
     residual, labeling = relabeling_residual_m(beacon, mirrored=False)
     if residual < limit:
         out.append(BeaconWarning("symmetric", residual, limit, (
-            f"too symmetric: with names {_named(beacon, labeling)} it fits onto itself to {mm_from_m(residual):.2f} mm, "
-            f"should exceed {mm_from_m(limit):.2f} mm")))  # fmt: skip
+            f"too symmetric: with names {_named(beacon, labeling)} it fits onto itself to "
+            f"{mm_from_m(residual):.2f} mm, should exceed {mm_from_m(limit):.2f} mm")))  # fmt: skip
     residual, labeling = relabeling_residual_m(beacon, mirrored=True)
     if residual < limit and thickness >= FLAT_RATIO * size:
         out.append(BeaconWarning("mirrored", residual, limit, (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from uvgs_bench.geometry import FloatArray, Pose
 
 
@@ -36,6 +38,29 @@ class PoseEstimate:
     blob_count: int
     runner_up: Pose | None = None
     stage_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def position_covariance_m2(self) -> FloatArray:
+        """Covariance of the translation itself in camera axes, shape (3, 3), m^2.
+
+        The tangent's v is not the change of t: under the left update ``dt = v + omega x t``.
+        """
+        x, y, z = self.camera_from_beacon.t_m
+        A = np.zeros((3, 6))
+        A[:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        A[:, 3:] = np.eye(3)
+        result: FloatArray = A @ self.covariance @ A.T
+        return result
+
+    @property
+    def position_sigma_m(self) -> FloatArray:
+        """Standard deviations of the translation along the camera's x, y, z, shape (3,), m."""
+        return np.sqrt(np.diag(self.position_covariance_m2))
+
+    @property
+    def rotation_sigma_rad(self) -> FloatArray:
+        """Standard deviations of the rotation vector about the camera's x, y, z, shape (3,), rad."""
+        return np.sqrt(np.diag(self.covariance)[:3])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,71 @@
+"""``uvgs beacon``: look at a beacon file and its weaknesses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uvgs_bench.cli.options import Json
+
+app = typer.Typer(help="Show a beacon file and check whether it can be told apart from itself.", no_args_is_help=True)
+_File = Annotated[Path, typer.Argument(help="Beacon file, TOML.")]
+
+
+@app.command("show")
+def show(file: _File, as_json: Json = False) -> None:
+    """Print the LEDs of a beacon."""
+    from rich.table import Table
+
+    from uvgs_bench.beacon.checks import size_m, thickness_m
+    from uvgs_bench.cli.console import emit_json, out
+    from uvgs_bench.store.beacons import read_beacon
+    from uvgs_bench.units import deg_from_rad, mm_from_m
+
+    beacon = read_beacon(file)
+    size_mm, thickness_mm = mm_from_m(size_m(beacon)), mm_from_m(thickness_m(beacon))
+    if as_json:
+        leds = [{"name": led.name, "position_mm": mm_from_m(led.position_m)} for led in beacon.leds]
+        emit_json({
+            "name": beacon.name, "hue": beacon.hue, "leds": leds, "size_mm": size_mm, "thickness_mm": thickness_mm,
+            "is_measured": beacon.covariance_m2 is not None,
+        })  # fmt: skip
+        return
+    table = Table(
+        title=f"{beacon.name}: {size_mm:.1f} mm across, {thickness_mm:.1f} mm thick", box=None, pad_edge=False
+    )
+    for heading in ("LED", "x mm", "y mm", "z mm", "half angle deg", "diameter mm"):
+        table.add_column(heading, justify="left" if heading == "LED" else "right")
+    for led in beacon.leds:
+        half = "" if led.half_angle_rad is None else f"{deg_from_rad(led.half_angle_rad):.1f}"
+        diameter = "" if led.diameter_m is None else f"{mm_from_m(led.diameter_m):.2f}"
+        table.add_row(led.name, *(f"{v:.3f}" for v in mm_from_m(led.position_m)), half, diameter)
+    out.print(table)
+
+
+@app.command("check")
+def check(file: _File, as_json: Json = False) -> None:
+    """Warn, with numbers, when a beacon is flat, too symmetric, or nearly its own mirror image."""
+    from rich.markup import escape
+
+    from uvgs_bench.beacon import check_beacon
+    from uvgs_bench.cli.console import emit_json, out
+    from uvgs_bench.errors import ExitCode
+    from uvgs_bench.store.beacons import read_beacon
+    from uvgs_bench.units import mm_from_m
+
+    warnings = check_beacon(read_beacon(file))
+    if as_json:
+        emit_json({
+            "warnings": [
+                {"kind": w.kind, "value_mm": mm_from_m(w.value_m), "limit_mm": mm_from_m(w.limit_m), "text": w.text}
+                for w in warnings
+            ]
+        })  # fmt: skip
+    else:
+        for warning in warnings:
+            out.print(f"[yellow]{warning.kind}:[/] {escape(warning.text)}", soft_wrap=True)
+        if not warnings:
+            out.print("[green]no weakness found[/]")
+    raise typer.Exit(int(ExitCode.LIMITS_MISSED if warnings else ExitCode.DONE))
