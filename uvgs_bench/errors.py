@@ -58,6 +58,12 @@ class CalibrationError(UvgsError):
     exit_code = ExitCode.INPUT
 
 
+class TooFewViews(CalibrationError):
+    """A calibration cannot be computed because the pictures do not say enough."""
+
+    exit_code = ExitCode.INCONCLUSIVE
+
+
 class RegistrationError(UvgsError):
     """The frames of a run cannot be registered: too few stations, no motion."""
 
