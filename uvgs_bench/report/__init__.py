@@ -6,6 +6,6 @@ Out: files. Plug point: ``SECTIONS`` (sections/__init__.py).
 
 from uvgs_bench.report.build import build_document
 from uvgs_bench.report.document import Document
-from uvgs_bench.report.write import FORMATS, check_formats, write_reports
+from uvgs_bench.report.write import FORMATS, check_formats, write_document, write_reports
 
-__all__ = ["FORMATS", "Document", "build_document", "check_formats", "write_reports"]
+__all__ = ["FORMATS", "Document", "build_document", "check_formats", "write_document", "write_reports"]

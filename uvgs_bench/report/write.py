@@ -39,19 +39,13 @@ def check_formats(formats: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-def write_reports(
-    run: Run,
-    judgement: Judgement,
-    folder: Path,
-    formats: Iterable[str] = tuple(FORMATS),
-    *,
-    force: bool = True,
+def write_document(
+    document: Document, folder: Path, formats: Iterable[str] = tuple(FORMATS), *, force: bool = True
 ) -> dict[str, Path]:
-    """Build the report of a run and write it.
+    """Write a report in several formats.
 
     Args:
-        run: The run.
-        judgement: What its errors amount to.
+        document: The report.
         folder: Where ``report.<format>`` go; created when missing.
         formats: Names out of ``FORMATS``.
         force: Whether existing files may be replaced; nothing is written when one of them may not.
@@ -67,7 +61,28 @@ def write_reports(
     for path in paths.values():
         if path.exists() and not force:
             raise ConfigError("exists already; use --force to replace it", str(path))
-    document = build_document(run, judgement)
     for name, path in paths.items():
         write_atomically(path, FORMATS[name](document))
     return paths
+
+
+def write_reports(
+    run: Run, judgement: Judgement, folder: Path, formats: Iterable[str] = tuple(FORMATS), *, force: bool = True
+) -> dict[str, Path]:
+    """Build the report of a run and write it.
+
+    Args:
+        run: The run.
+        judgement: What its errors amount to.
+        folder: As ``write_document``.
+        formats: As ``write_document``.
+        force: As ``write_document``.
+
+    Returns:
+        Format to file.
+
+    Raises:
+        ConfigError: As ``write_document``.
+        UvgsError: As ``write_document``.
+    """
+    return write_document(build_document(run, judgement), folder, formats, force=force)

@@ -146,4 +146,4 @@ def _nees_by_range(table: ErrorTable) -> Figure:
 
 def _bars(count: int) -> int:
     """Number of bars for so many values (Rice's rule, within reason)."""
-    return int(np.clip(2.0 * np.cbrt(count), 10, 40))
+    return int(np.clip(2.0 * np.cbrt(count), 18, 40))

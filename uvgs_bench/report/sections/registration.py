@@ -10,6 +10,9 @@ from uvgs_bench.report.document import Alert, Alerts, Block, Cell, Column, Numbe
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
+# A standard deviation below this is no doubt but the gauge's hold.
+_HELD_M = 1e-9
+
 
 def build(run: Run, judgement: Judgement) -> Section | None:
     """The two constant poses with their doubt, rank, blind spots and gauge."""
@@ -39,28 +42,26 @@ def build(run: Run, judgement: Judgement) -> Section | None:
 
 
 def _pose_table(pose: Pose, sigma_rad: FloatArray, sigma_m: FloatArray) -> Table:
-    t_mm, sigma_t_mm, sigma_r_deg = mm_from_m(pose.t_m), mm_from_m(sigma_m), deg_from_rad(sigma_rad)
     yaw, pitch, roll = euler_zyx_from_rotation(pose.R)
-    rows: tuple[tuple[Cell, ...], ...] = (
-        *(
-            (f"translation {axis}", Number(float(t_mm[k]), 3, "mm"), Number(float(sigma_t_mm[k]), 3, "mm"))
-            for k, axis in enumerate("xyz")
-        ),
-        *(
-            (f"{name} (about {axis})", Number(deg_from_rad(angle), 4, "deg"), "")
-            for name, axis, angle in (("yaw", "z", yaw), ("pitch", "y", pitch), ("roll", "x", roll))
-        ),
-        *(
-            (f"rotation doubt about {axis}", "", Number(float(sigma_r_deg[k]), 4, "deg"))
-            for k, axis in enumerate("xyz")
-        ),
-    )
-    columns = (Column("Quantity"), Column("Value", is_numeric=True), Column("Standard deviation", is_numeric=True))
+    rows: list[tuple[Cell, ...]] = []
+    for k, (axis, angle) in enumerate((("x", roll), ("y", pitch), ("z", yaw))):
+        held = sigma_m[k] < _HELD_M
+        rows.append(
+            (
+                f"{axis} of the {pose.target}",
+                Number(mm_from_m(float(pose.t_m[k])), 3, "mm"),
+                "held" if held else Number(mm_from_m(float(sigma_m[k])), 3, "mm"),
+                Number(deg_from_rad(angle), 4, "deg"),
+                Number(deg_from_rad(float(sigma_rad[k])), 4, "deg"),
+            )
+        )
+    labels = ("Translation", "Its doubt, 1σ", "Angle, Z-Y-X", "Rotation doubt, 1σ")
+    columns = (Column("Axis"), *(Column(label, is_numeric=True) for label in labels))
     caption = (
-        f"{pose.target}_from_{pose.source}: {pose.source} origin in {pose.target} axes; angles intrinsic Z-Y-X, a view "
-        f"only; rotation doubt about {pose.target} axes. Doubts hold in the gauge below."
+        f"{pose.target}_from_{pose.source}: the {pose.source} origin in {pose.target} axes. Angles are a view only "
+        "(roll, pitch, yaw, intrinsic Z-Y-X); rotation doubt is about each axis; doubts hold in the gauge below."
     )
-    return Table(caption, columns, rows)
+    return Table(caption, columns, tuple(rows))
 
 
 def _quality_table(r: Registration) -> Table:

@@ -91,7 +91,7 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
         axes.set_xlabel("z, forward (m)")
         axes.set_ylabel("x, right (m)")
         axes.set_zlabel("-y, up (m)")
-        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.86)
+        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.98)
         axes.view_init(elev=22, azim=-118)
         axes.tick_params(labelsize=7.5)
         for which in (axes.xaxis, axes.yaxis, axes.zaxis):

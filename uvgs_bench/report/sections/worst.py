@@ -8,7 +8,7 @@ import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.report.document import Block, Cell, Column, Gallery, Number, Picture, Section, Table
+from uvgs_bench.report.document import Block, Cell, Column, Gallery, Number, Paragraph, Picture, Section, Table
 from uvgs_bench.report.pictures import overlay_png, read_picture
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.store.run import Run, Sample
@@ -68,6 +68,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     ]
     pictures = tuple(p for w in worst if (p := _picture(run, w)) is not None)[:_PICTURED]
     if pictures:
+        blocks.append(Paragraph("Circles: LEDs as observed. Crosses: where the registration expects them."))
         blocks.append(Gallery(pictures))
     return Section("worst", "Worst captures", tuple(blocks))
 
@@ -98,6 +99,5 @@ def _picture(run: Run, w: _Worst) -> Picture | None:
         overlay_png(image, w.estimate.led_px, w.expected_px, run.beacon.led_names),
         f"Capture of sample {w.sample.index} around the beacon; observed LEDs up to {far:.2f} px from where the "
         f"registration expects them; position error {w.position_mm:.3f} mm.",
-        f"Sample {w.sample.index}, station {w.sample.station}: {w.position_mm:.3f} mm, {w.attitude_deg:.3f} deg. "
-        "Circles: observed; crosses: expected from the registration.",
+        f"Sample {w.sample.index}, station {w.sample.station}: {w.position_mm:.3f} mm, {w.attitude_deg:.3f} deg.",
     )
