@@ -385,7 +385,12 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
 
 
 def _gantry_info(firmware: str, release: str, options: str, settings: Mapping[str, str]) -> dict[str, str]:
-    return {"firmware": firmware, "version": release, "options": options, **settings}
+    return {
+        "firmware": firmware,
+        "version": release,
+        "options": options,
+        **{f"${number}": value for number, value in settings.items()},
+    }
 
 
 def _versions() -> dict[str, str]:
