@@ -299,6 +299,7 @@ class GrblGantry:
             more = self._await_welcome(_WELCOME_S)
             if more is not None:
                 self._refuse_start([*heard, *more])
+            self._await_quiet()
         identity = {
             message.name: message.text for message in self._query("$I") if isinstance(message, protocol.Message)
         }
@@ -388,7 +389,10 @@ class GrblGantry:
         self._line_under_way, self._reports_due = "", 0
         if heard is not None:
             raise GantryTimeout(f"no welcome within {_WELCOME_S:g} s after a reset", self.port)
-        # An alarm may have made it restart by itself just before: that makes two welcomes.
+        self._await_quiet()
+
+    def _await_quiet(self) -> None:
+        """Discard until nothing comes: a controller that also restarted by itself says its welcome twice."""
         while self._wire.read_line(self._clock.now_ns() + ns_from_s(_QUIET_S)) is not None:
             pass
 

@@ -26,7 +26,7 @@ _Result = TypeVar("_Result")
 class GrblWire:
     """An open port.
 
-    A read takes what has arrived before it looks at its deadline, so that on a busy machine a controller that answered
+    A read looks at the time before it takes what has arrived, so that on a busy machine a controller that answered
     never looks silent.
 
     Args:
@@ -90,8 +90,9 @@ class GrblWire:
                     return line
             if len(self._buffer) > _LONGEST_LINE:
                 raise GantryError("received bytes without line ends; expected GRBL at 115200 baud", self.address)
+            is_late = self._clock.now_ns() >= deadline_ns
             self._buffer += self._on_port(lambda: self._port.read(self._port.in_waiting or 1))
-            if b"\n" not in self._buffer and self._clock.now_ns() >= deadline_ns:
+            if is_late and b"\n" not in self._buffer:
                 return None
 
     def close(self) -> None:

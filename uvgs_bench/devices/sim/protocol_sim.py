@@ -59,8 +59,9 @@ class Serial(SerialBase):  # type: ignore[misc]
         """Read up to ``size`` bytes, waiting for them no longer than ``timeout``."""
         deadline_s = None if self.timeout is None else time.monotonic() + self.timeout
         while True:
-            self._pump()
+            # The time is taken first: what has been sent by the deadline is received, however late this thread runs.
             left_s = _LONGEST_NAP_S if deadline_s is None else deadline_s - time.monotonic()
+            self._pump()
             if len(self._received) >= size or left_s <= 0.0:
                 break
             event_ns = self._device.next_event_ns()
