@@ -201,7 +201,7 @@ def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bund
     for _ in range(iterations):
         blocks = np.where(np.isfinite(normal.poses), normal.poses, 0.0) + 1e-12 * np.eye(6)
         gradient = np.where(np.isfinite(normal.gradient_poses), normal.gradient_poses, 0.0)
-        twists: FloatArray = np.linalg.solve(_damped(blocks, damping), gradient[:, :, None])[:, :, 0]
+        twists = np.asarray(np.linalg.solve(_damped(blocks, damping), gradient[:, :, None])[:, :, 0], dtype=np.float64)
         # Half a turn is the most a step can mean.
         twists[np.linalg.norm(twists[:, :3], axis=1) > 1.0] *= 0.3
         moved = bundle.moved(twists)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uvgs_bench.camera.boards import BoardView
+from uvgs_bench.camera.boards import BoardMiss, BoardView
 from uvgs_bench.camera.bundle import Bundle, Corners, adjust, lens_information, refine_poses
 from uvgs_bench.camera.bundle_start import start
 from uvgs_bench.camera.calibration import Calibration
@@ -64,6 +64,7 @@ class CalibrationResult:
         covered_radius: Largest distance of a corner from the principal point, as a share of the picture's
             farthest corner.
         warnings: Sentences for people, with numbers.
+        misses: Pictures without a usable board, added by whoever looked for them.
     """
 
     calibration: Calibration
@@ -78,6 +79,7 @@ class CalibrationResult:
     max_tilt_rad: float
     covered_radius: float
     warnings: tuple[str, ...]
+    misses: tuple[BoardMiss, ...] = ()
 
 
 def calibrate(
