@@ -1,4 +1,4 @@
-"""Whether a beacon can be told apart from itself: coplanar, too symmetric, or its own mirror image. Numbers, not opinions."""
+"""Whether a beacon can be told apart from itself: flat, too symmetric, or its own mirror image; with numbers."""
 
 from __future__ import annotations
 
