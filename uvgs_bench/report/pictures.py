@@ -14,6 +14,7 @@ from uvgs_bench.geometry import FloatArray
 _SIDE_IN = 2.6
 _DPI = 110
 _BIGGEST_PX = 400
+_MOST_GAIN = 4.0
 
 
 def read_picture(path: Path) -> NDArray[np.uint8] | None:
@@ -23,7 +24,7 @@ def read_picture(path: Path) -> NDArray[np.uint8] | None:
         path: The image file.
 
     Returns:
-        RGB, shape (H, W, 3), its brightest pixel white; None when it cannot be read.
+        RGB, shape (H, W, 3), a dim picture up to four times brighter than it was; None when it cannot be read.
     """
     import cv2
 
@@ -38,7 +39,10 @@ def read_picture(path: Path) -> NDArray[np.uint8] | None:
     if bright.ndim == 2:
         bright = np.repeat(bright[:, :, None], 3, axis=2)
     rgb = bright[:, :, 2::-1]
-    shown: NDArray[np.uint8] = np.clip(255.0 * rgb / max(float(rgb.max()), 1.0), 0.0, 255.0).astype(np.uint8)
+    brightest = float(rgb.max())
+    # Cameras of 10 or 12 bits hand over 16-bit numbers that never come near 65535.
+    full = 255.0 if image.dtype == np.uint8 else next(f for f in (1023.0, 4095.0, 65535.0) if f >= brightest)
+    shown: NDArray[np.uint8] = (rgb * (255.0 / max(brightest, full / _MOST_GAIN))).astype(np.uint8)
     return shown
 
 

@@ -85,9 +85,9 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
                 axes.plot(p[:, 0], p[:, 1], p[:, 2], marker, color=colour, ms=3.5, label=label)
         p, e = places[:, order] * sign, errors[:, order] * sign * magnification
         ends = np.stack([p, p + e], axis=1)
-        for k, (start, end) in enumerate(ends):
-            label = f"mean error × {magnification:g}" if k == 0 else "_"
-            axes.plot(*np.stack([start, end], axis=1), "-", color=ORANGE, lw=1.3, label=label)
+        # One line with gaps draws a thousand vectors as fast as one.
+        gaps = np.concatenate([ends, np.full((len(ends), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+        axes.plot(*gaps.T, "-", color=ORANGE, lw=1.3, label=f"mean error × {magnification:g}")
         axes.set_xlabel("z, forward (m)")
         axes.set_ylabel("x, right (m)")
         axes.set_zlabel("-y, up (m)")
