@@ -98,7 +98,7 @@ def test_truncated_picture_is_named(folder: Path, ending: str) -> None:
 @pytest.mark.parametrize("payload", [b"", b"this is no picture at all"])
 def test_unreadable_picture_is_named(folder: Path, payload: bytes) -> None:
     (folder / "img0.png").write_bytes(payload)
-    with pytest.raises(CaptureError, match="img0.png"):
+    with pytest.raises(CaptureError, match=r"img0\.png"):
         open_camera(f"images:{folder}").grab()
 
 

