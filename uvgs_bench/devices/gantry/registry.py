@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 from importlib import import_module
-from typing import cast
+from typing import Any, cast
 
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry.axes import Envelope
@@ -12,7 +12,7 @@ from uvgs_bench.devices.gantry.gantry import Gantry, WireLog
 from uvgs_bench.errors import ConfigError
 
 GANTRIES = {"grbl": "uvgs_bench.devices.gantry.grbl:GrblGantry"}
-"""Scheme to ``module:Class``; the class has ``open(port, envelope, *, clock, log, homing_timeout_s)``."""
+"""Scheme to ``module:Class``. The class has ``open`` and ``halt`` with the arguments of the functions below."""
 
 
 def open_gantry(
@@ -35,6 +35,30 @@ def open_gantry(
         GantryError: The port cannot be opened or what answers is no usable controller.
         GantryTimeout: Nothing answers.
     """
+    driver, address = _resolve(spec)
+    return cast(Gantry, driver.open(address, envelope, clock=clock, log=log, homing_timeout_s=homing_timeout_s))
+
+
+def halt_gantry(spec: str, *, clock: Clock, log: WireLog) -> bool:
+    """Stop whatever moves behind a spec, before anything else is asked; the position is lost.
+
+    Args:
+        spec: ``scheme:port``.
+        clock: Bench time.
+        log: Called for everything on the wire.
+
+    Returns:
+        Whether a controller answered.
+
+    Raises:
+        ConfigError: The scheme is unknown or the port is missing.
+        GantryError: The port cannot be opened or vanished.
+    """
+    driver, address = _resolve(spec)
+    return cast(bool, driver.halt(address, clock=clock, log=log))
+
+
+def _resolve(spec: str) -> tuple[Any, str]:
     scheme, _, address = spec.partition(":")
     if scheme not in GANTRIES or not address:
         near = get_close_matches(scheme, GANTRIES, n=1)
@@ -42,5 +66,4 @@ def open_gantry(
         known = ", ".join(f"{name}:PORT" for name in GANTRIES)
         raise ConfigError(f"gantry spec {spec!r} is not one of {known}{hint}")
     module, _, name = GANTRIES[scheme].partition(":")
-    driver = getattr(import_module(module), name)
-    return cast(Gantry, driver.open(address, envelope, clock=clock, log=log, homing_timeout_s=homing_timeout_s))
+    return getattr(import_module(module), name), address
