@@ -150,7 +150,7 @@ def test_the_beacon_is_in_view_over_the_whole_envelope(file: Bench, beacon: Beac
     bench = start_simulated_bench(file, beacon)
     for corner in itertools.product(*((axis.lower, axis.upper) for axis in file.envelope.axes)):
         carriage = bench.carriage_at(np.array(corner), np.zeros(3), 0)
-        camera_from_beacon = bench._outer @ carriage @ bench._inner
+        camera_from_beacon = bench.camera_from_beacon_at(carriage)
         px = bench.true_lens.project(camera_from_beacon.apply(beacon.positions_m))
         assert bench.true_lens.contains(px, margin_px=60.0).all(), corner
         for led in beacon.leds:

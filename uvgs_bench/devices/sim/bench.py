@@ -117,10 +117,12 @@ class SimulatedBench:
 
     def true_camera_from_beacon(self, t_ns: int) -> Pose:
         """Where the beacon truly is before the camera at an instant."""
-        moving = self.true_gantry_from_carriage(t_ns)
-        if self.mount == "beacon_on_carriage":
-            return self._outer @ moving @ self._inner
-        return self._outer @ moving.inverse() @ self._inner
+        return self.camera_from_beacon_at(self.true_gantry_from_carriage(t_ns))
+
+    def camera_from_beacon_at(self, gantry_from_carriage: Pose) -> Pose:
+        """Where the beacon truly is before the camera for a true place of the carriage."""
+        is_carried = self.mount == "beacon_on_carriage"
+        return self._outer @ (gantry_from_carriage if is_carried else gantry_from_carriage.inverse()) @ self._inner
 
     def true_camera_from(self, frame: str, t_ns: int) -> Pose:
         """``camera_from_<frame>`` at an instant, for the frames camera, gantry and carriage."""
