@@ -28,7 +28,7 @@ def video(path: Path, count: int = 7) -> Path:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 20.0, (64, 48))
     assert writer.isOpened()
     for i in range(count):
-        writer.write(np.full((48, 64, 3), 10 * i, dtype=np.uint8))
+        writer.write(np.full((48, 64, 3), 10 * i % 250, dtype=np.uint8))
     writer.release()
     return path
 
@@ -124,6 +124,8 @@ def test_video_frames_and_times(tmp_path: Path) -> None:
         ("images:{file}", CaptureError, "is no folder"),
         ("images:{empty}", CaptureError, "holds no pictures"),
         ("images:{empty}?glob=a*", CaptureError, r"no picture matches 'a\*'"),
+        ("images:{empty}?glob=/a*", ConfigError, "expected a pattern within the folder"),
+        ("images:{empty}?glob=a+b*", CaptureError, r"no picture matches 'a\+b\*'"),
         ("images:{empty}?globb=a*", ConfigError, "unknown option 'globb', did you mean 'glob'"),
         ("video:/nowhere.mkv", CaptureError, "no such file"),
         ("video:{file}", CaptureError, "no video"),
@@ -145,6 +147,14 @@ def test_bad_specs_say_what_is_wrong(tmp_path: Path, spec: str, error: type[Exce
     with pytest.raises(error, match=message) as raised:
         open_camera(spec.format(empty=empty, file=file, bench=EXAMPLE_BENCH))
     assert "\n" not in str(raised.value)
+
+
+def test_truncated_video_says_where_it_ends(tmp_path: Path) -> None:
+    path = video(tmp_path / "a.mkv", 60)
+    payload = path.read_bytes()
+    path.write_bytes(payload[: len(payload) // 2])
+    with pytest.raises(CaptureError, match=r"a\.mkv: (ends after \d+ of 60 frames|is no video)"):
+        list(open_camera(f"video:{path}"))
 
 
 def recorded_specs(tmp_path: Path) -> dict[str, str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from uvgs_bench.devices.cameras.base import ClosingSource
 from uvgs_bench.devices.clock import Clock
-from uvgs_bench.errors import CaptureError
+from uvgs_bench.errors import CaptureError, ConfigError
 from uvgs_bench.sensor.capture import Capture
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class ImageFolder(ClosingSource):
 
         Raises:
             CaptureError: The folder is missing or no picture in it matches.
-            ConfigError: An option is unknown.
+            ConfigError: An option is unknown, or the pattern leaves the folder.
         """
         spec.check_options(("glob",))
         folder = Path(spec.target)
@@ -51,8 +51,14 @@ class ImageFolder(ClosingSource):
             problem = "is no folder" if folder.exists() else "no such folder"
             raise CaptureError(f"{problem}, expected a folder of pictures", spec.target or spec.text)
         pattern = spec.options.get("glob", "*")
+        try:
+            found = list(folder.glob(pattern))
+        except (ValueError, NotImplementedError):
+            raise ConfigError(
+                f"expected a pattern within the folder like glob=left*.png, got '{pattern}'", spec.text
+            ) from None
         files = sorted(
-            (path for path in folder.glob(pattern) if path.suffix.lower() in _SUFFIXES and path.is_file()),
+            (path for path in found if path.suffix.lower() in _SUFFIXES and path.is_file()),
             key=lambda path: natural_key(path.name),
         )
         if not files:

@@ -43,7 +43,8 @@ class CameraSpec:
             raise ConfigError("expected a camera like 'images:FOLDER', 'video:FILE', 'uvc:0' or 'sim:'", text)
         target, _, query = rest.partition("?")
         try:
-            options = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
+            # A plus sign in a file pattern is a plus sign, not a space.
+            options = dict(parse_qsl(query.replace("+", "%2B"), keep_blank_values=True, strict_parsing=bool(query)))
         except ValueError:
             raise ConfigError(f"expected options as name=value&name=value, got '{query}'", text) from None
         return cls(text, scheme, target, options)

@@ -16,6 +16,9 @@ from uvgs_bench.units import ns_from_s, s_from_ms
 if TYPE_CHECKING:
     from uvgs_bench.devices.cameras.spec import CameraSpec
 
+# Headers count frames from duration and rate, which may be off a little; less than this share is a broken file.
+_WHOLE = 0.95
+
 
 class VideoFile(ClosingSource):
     """Frames of a video in order, as BGR, stamped with their presentation time.
@@ -61,7 +64,7 @@ class VideoFile(ClosingSource):
         """The next frame, or None after the last.
 
         Raises:
-            CaptureError: Not even one frame can be decoded.
+            CaptureError: Not even one frame can be decoded, or far fewer than the header promises.
         """
         import cv2
 
@@ -73,6 +76,8 @@ class VideoFile(ClosingSource):
             if self._next == 0:
                 raise CaptureError("holds no frame that can be decoded", str(self._path))
             self.close()
+            if self.length is not None and self._next < _WHOLE * self.length - 1:
+                raise CaptureError(f"ends after {self._next} of {self.length} frames: truncated?", str(self._path))
             return None
         t_ns = ns_from_s(s_from_ms(position_ms))
         if t_ns <= self._last_ns:
