@@ -1,6 +1,6 @@
 """Replays written conversations with a GRBL controller against the mock, line by line.
 
-Format: ``# scene``, then ``ms  >  line sent``, ``ms >! 0xNN`` real-time byte, ``ms  < line received`` or ``(empty line)``.
+Format: ``# scene``, then ``ms > line sent``, ``ms >! 0xNN`` real-time byte, ``ms < line received`` or ``(empty line)``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from uvgs_bench.units import NS_PER_MS
 
 _EVENT = re.compile(r"^\s*(\d+) (>!|>|<) ?(.*)$")
 
-# A reply may come this much later than written: the recordings have the latency of a pseudo-terminal in them, 20 to 40 ms.
+# A reply may come this much later than written: recordings have the latency of a pseudo-terminal, 20 to 40 ms.
 LATE_MS = 150
 # Positions while moving: 5 mm/s, the feed of most recorded moves, times 20 ms of latency.
 MOVING_MM = 0.1

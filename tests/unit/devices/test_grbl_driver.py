@@ -1,4 +1,4 @@
-"""The GRBL driver: it believes nothing it has not checked, and after anything that goes wrong it knows what it knows."""
+"""The GRBL driver believes nothing it has not checked, and after anything that goes wrong it knows what it knows."""
 
 from __future__ import annotations
 
@@ -154,6 +154,30 @@ def test_any_interruption_leaves_a_gantry_that_stops_and_knows_where_it_is(monke
     mock.gantry.close()
 
 
+def test_an_interruption_inside_the_port_leaves_a_gantry_that_stops(mock: MockGantry) -> None:
+    """The line is out but nothing was read yet; or it was cut in two, and its rest would join the next line."""
+    mock.gantry.home()
+    port = mock.gantry._wire._port
+    whole_write = port.write
+
+    def write_and_raise(data: bytes, count: int) -> int:
+        if data.startswith(b"$J"):
+            whole_write(data[:count])
+            raise KeyboardInterrupt
+        return whole_write(data)
+
+    for count in (1, 20, 1000):
+        port.write = lambda data, count=count: write_and_raise(data, count)
+        with pytest.raises(KeyboardInterrupt):
+            mock.gantry.move_to([-0.15, -0.1, -0.05], FAST)
+        port.write = whole_write
+        state = mock.gantry.stop()
+        assert state.is_trusted
+        np.testing.assert_allclose(state.position, mock.device.position_at(mock.clock.now_ns()), atol=AT_M)
+        np.testing.assert_array_equal(mock.device.velocity_at(mock.clock.now_ns()), 0.0)
+        np.testing.assert_allclose(mock.gantry.move_to([-0.001] * 3, FAST).position, [-0.001] * 3, atol=AT_M)
+
+
 def test_interrupted_homing_is_stopped_and_not_homed(mock: MockGantry) -> None:
     def interrupt(_number: int, direction: str, text: str) -> None:
         if (direction, text) == (">", "$H"):
@@ -241,7 +265,7 @@ def test_somebody_else_cancelling_the_jog_is_noticed(mock: MockGantry) -> None:
             mock.device.receive(0x85, mock.clock.now_ns())
 
     mock.spy.on_event = cancel
-    with pytest.raises(GantryError, match="came to rest at X .* instead of X -200.000 mm"):
+    with pytest.raises(GantryError, match=r"came to rest at X .* instead of X -200.000 mm"):
         mock.gantry.move_to([-0.2] * 3, 0.02)
 
 
@@ -259,7 +283,7 @@ def test_a_failed_homing_is_an_alarm_although_an_ok_follows(monkeypatch: pytest.
 
 def test_homing_that_takes_too_long_is_reset(monkeypatch: pytest.MonkeyPatch) -> None:
     mock = MockGantry(monkeypatch, homing_timeout_s=0.5)
-    with pytest.raises(GantryTimeout, match="homing did not end within 0.5 s"):
+    with pytest.raises(GantryTimeout, match=r"homing did not end within 0\.5 s"):
         mock.gantry.home()
     np.testing.assert_array_equal(mock.device.velocity_at(mock.clock.now_ns()), 0.0)
     mock.gantry.close()
