@@ -81,4 +81,5 @@ def _timestamp(created_utc: str) -> datetime:
         instant = datetime.fromisoformat(created_utc)
     except ValueError:
         return datetime(1970, 1, 1, tzinfo=UTC)
-    return instant if instant.tzinfo else instant.replace(tzinfo=UTC)
+    # The typesetter knows whole seconds only.
+    return instant.replace(microsecond=0, tzinfo=instant.tzinfo or UTC)
