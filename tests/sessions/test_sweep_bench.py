@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 
 from uvgs_bench.camera.calibration import Calibration
-from uvgs_bench.devices.sim.bench import true_lens
-from uvgs_bench.errors import ConfigError, EnvelopeError, RunError
+from uvgs_bench.camera.lens import Lens
+from uvgs_bench.devices.sim.bench import live_benches, simulated_bench, true_lens
+from uvgs_bench.errors import CalibrationError, ConfigError, EnvelopeError, GantryLost, RunError
 from uvgs_bench.sessions.bench_setup import SetUp, read_setup, read_setup_of, resume, sweep
+from uvgs_bench.sessions.events import Event, StageAdvanced
 from uvgs_bench.store.bench import read_bench
 from uvgs_bench.store.calibrations import write_calibration
 from uvgs_bench.store.run import Run, read_run
@@ -75,7 +77,7 @@ def start(arguments: Sequence[object]) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def interrupted(files: Path, out: Path, number: int, samples: int) -> tuple[int, str, str]:
+def interrupted(files: Path, out: Path, number: int, samples: int, wait_s: float = 0.0) -> tuple[int, str, str]:
     """Sweep in a process of its own and send it a signal when so many samples are on disk."""
     # Slow enough that a move takes a while, so that the signal meets one under way.
     process = start([*given(files), "--out", out, "--sim-speed", 20])
@@ -85,6 +87,7 @@ def interrupted(files: Path, out: Path, number: int, samples: int) -> tuple[int,
         if journals and journals[0].read_bytes().count(b"\n") >= samples:
             break
         time.sleep(0.01)
+    time.sleep(wait_s)
     process.send_signal(number)
     stdout, stderr = process.communicate(timeout=60.0)
     return process.returncode, stdout, stderr
@@ -184,8 +187,6 @@ def test_resuming_names_what_changed_and_notices_a_moved_camera(files: Path, tmp
 
 
 def _broken_run(set_up: SetUp, folder: Path) -> Path:
-    from uvgs_bench.sessions.events import Event, StageAdvanced
-
     def interrupt(event: Event) -> None:
         if isinstance(event, StageAdvanced) and event.done == 3:
             raise KeyboardInterrupt
@@ -207,8 +208,52 @@ def test_what_does_not_fit_is_refused_before_anything_opens(files: Path, tmp_pat
         read_setup(far, BENCH, camera=files / "camera.yaml")
 
 
+def test_a_controller_that_restarts_by_itself_ends_the_run_which_then_resumes(files: Path, tmp_path: Path) -> None:
+    def press_reset(event: Event) -> None:
+        if isinstance(event, StageAdvanced) and event.done == 3:
+            (name,) = live_benches()
+            bench = simulated_bench(name)
+            bench.device.receive(0x18, bench.clock.now_ns())
+
+    set_up = set_up_of(files)
+    with pytest.raises(GantryLost, match="restarted by itself"):
+        sweep(set_up, tmp_path, keep="none", simulated_speed=SPEED, sink=press_reset)
+    (path,) = tmp_path.iterdir()
+    run = read_run(path)
+    assert run.ended == "failed"
+    assert "restarted by itself" in run.end_reason
+    assert run.committed_stations() == {0, 1, 2}
+    resume(run, read_setup_of(run), simulated_speed=SPEED)
+    assert read_run(path).is_complete
+    assert live_benches() == ()
+
+
+def test_pictures_that_do_not_fit_the_calibration_are_refused_before_a_run_begins(files: Path, tmp_path: Path) -> None:
+    set_up = set_up_of(files)
+    lens = set_up.calibration.lens
+    half = Calibration(Lens(lens.model, lens.width_px // 2, lens.height_px // 2, lens.parameters), "half")
+    with pytest.raises(CalibrationError, match="is 1280x960 px but calibration .half. is for 640x480 px"):
+        sweep(replace(set_up, calibration=half), tmp_path, simulated_speed=SPEED)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_killed_at_random_instants_the_stations_are_those_of_an_uninterrupted_run(
+    files: Path, tmp_path: Path, seed: int
+) -> None:
+    whole = read_run(sweep(set_up_of(files), tmp_path / "whole", keep="none", simulated_speed=SPEED).path)
+    rng = np.random.default_rng(seed)
+    out = tmp_path / "killed"
+    interrupted(files, out, signal.SIGKILL, samples=int(rng.integers(0, 15)), wait_s=float(rng.uniform(0.0, 0.2)))
+    (path,) = out.iterdir()
+    run = read_run(path)
+    resume(run, read_setup_of(run), simulated_speed=SPEED)
+    assert stations_of(read_run(path)) == stations_of(whole)
+
+
 def test_a_dry_run_prints_the_plan_and_moves_nothing(files: Path, tmp_path: Path) -> None:
-    process = start([*given(files), "--out", tmp_path, "--dry-run", "--json"])
+    process = start([files / "short.toml", "--bench", BENCH, "--out", tmp_path, "--dry-run", "--json"])
     stdout, stderr = process.communicate(timeout=120.0)
     assert process.returncode == 0, stderr
     facts = json.loads(stdout)

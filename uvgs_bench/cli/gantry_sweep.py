@@ -10,7 +10,7 @@ import typer
 from uvgs_bench.cli.options import DEFAULT_BENCH, Json, Quiet
 
 if TYPE_CHECKING:
-    from uvgs_bench.sessions.bench_setup import SetUp
+    from uvgs_bench.sessions.planning import Plan
     from uvgs_bench.sessions.sweep import SweepResult
 
 
@@ -20,10 +20,14 @@ def gantry_sweep(
     camera: Annotated[Path | None, typer.Option(help="Camera calibration in place of the bench's.")] = None,
     port: Annotated[str | None, typer.Option(help="Gantry in place of the bench's, like grbl:/dev/ttyACM0.")] = None,
     camera_source: Annotated[str | None, typer.Option(help="Camera in place of the bench's, like uvc:0.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder the run folder is made in.")] = Path("reports"),
+    out: Annotated[
+        Path, typer.Option(help="Folder the run folder is made in; a resumed run stays where it is.")
+    ] = Path("reports"),
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check every point and path, move nothing.")] = False,
     resume_run: Annotated[Path | None, typer.Option("--resume", help="Run folder to take up again.")] = None,
-    keep: Annotated[str, typer.Option(help="Pictures to keep: all, worst or none.")] = "all",
+    keep: Annotated[
+        str, typer.Option(help="Pictures to keep: all, worst or none; a resumed run keeps what it kept.")
+    ] = "all",
     seed: Annotated[int | None, typer.Option(min=0, help="Seed in place of the files'.")] = None,
     sim_speed: Annotated[float, typer.Option(min=0.1, help="Speed of the simulated bench against real time.")] = 50.0,
     as_json: Json = False,
@@ -36,6 +40,9 @@ def gantry_sweep(
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.errors import ConfigError
     from uvgs_bench.sessions.bench_setup import read_setup, read_setup_of, resume, sweep
+    from uvgs_bench.sessions.planning import plan
+    from uvgs_bench.sessions.procedure import read_procedure
+    from uvgs_bench.store.bench import read_bench
     from uvgs_bench.store.run import read_run
     from uvgs_bench.store.run_writer import KEEPS
 
@@ -54,22 +61,24 @@ def gantry_sweep(
         return
     if procedure is None:
         raise ConfigError("name a procedure file, for example procedures/demo_grid.toml", key="PROCEDURE")
-    set_up = read_setup(
-        procedure, bench or DEFAULT_BENCH, camera=camera, gantry_spec=port, camera_spec=camera_source, seed=seed
-    )
+    if bench is None and not DEFAULT_BENCH.exists():
+        raise ConfigError(
+            "no bench file here: make a workspace with uvgs init, or name one with --bench", str(DEFAULT_BENCH)
+        )
+    bench = bench or DEFAULT_BENCH
     if dry_run:
-        _print_plan(set_up, as_json)
+        _print_plan(plan(read_procedure(procedure).seeded(seed), read_bench(bench).envelope), as_json)
         return
+    set_up = read_setup(procedure, bench, camera=camera, gantry_spec=port, camera_spec=camera_source, seed=seed)
     with progress_sink(quiet=quiet) as sink:
         result = sweep(set_up, out, keep=keep, simulated_speed=sim_speed, sink=sink)
     _print_result(result, as_json)
 
 
-def _print_plan(set_up: SetUp, as_json: bool) -> None:
+def _print_plan(plan: Plan, as_json: bool) -> None:
     from uvgs_bench.cli.console import emit_json, out
     from uvgs_bench.units import mm_from_m
 
-    plan = set_up.plan
     facts: dict[str, object] = {
         "procedure": plan.procedure.name,
         "stations": len(plan.stations),

@@ -115,8 +115,8 @@ def read_setup(
         ConfigError: A file is missing or says something that cannot be meant, or camera and gantry do not go together.
         EnvelopeError: The procedure leaves the envelope.
     """
-    described, read = read_bench(bench), read_procedure(procedure)
-    planned = plan(read if seed is None else replace(read, seed=seed), described.envelope)
+    described = read_bench(bench)
+    planned = plan(read_procedure(procedure).seeded(seed), described.envelope)
     camera_file = Path(described.camera_file) if camera is None else camera
     if not camera_file.exists():
         raise ConfigError(
@@ -311,6 +311,10 @@ def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIM
         sensor = Uvgs(set_up.calibration, set_up.beacon, set_up.config, clock=_stage_clock)
         sensor.warm_up()
         camera = stack.enter_context(open_camera(camera_spec, clock=clock))
+        first = camera.grab()
+        if first is not None:
+            # A picture of another size than the calibration's is refused here, before anything moves.
+            sensor.solve(first)
         gantry = stack.enter_context(
             open_gantry(
                 gantry_spec,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -141,6 +141,10 @@ class Procedure:
             raise self.error(f"must not be negative, got {self.seed}", "seed")
         if isinstance(self.register, float) and not 0.0 < self.register < 1.0:
             raise self.error(f"as a fraction must lie between 0 and 1, got {self.register}", "register")
+
+    def seeded(self, seed: int | None) -> Procedure:
+        """The same procedure with another seed, or itself when there is none."""
+        return self if seed is None else replace(self, seed=seed)
 
     def error(self, message: str, key: str = "") -> ConfigError:
         """A complaint about this procedure that names its file."""
