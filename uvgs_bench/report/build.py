@@ -37,7 +37,7 @@ def build_document(run: Run, judgement: Judgement) -> Document:
         subtitle=m.id,
         created_utc=m.created_utc,
         verdict=judgement.verdict,
-        headline=_headline(judgement),
+        headline=headline(judgement),
         banners=_banners(run),
         key_figures=_key_figures(judgement),
         sections=tuple(section for target in SECTIONS.values() if (section := _section(target, run, judgement))),
@@ -70,7 +70,8 @@ def _banners(run: Run) -> tuple[Alert, ...]:
     return tuple(banners)
 
 
-def _headline(judgement: Judgement) -> str:
+def headline(judgement: Judgement) -> str:
+    """The verdict as one sentence that names the limits it hangs on."""
     verdicts = judgement.verdicts
     if judgement.summary is None:
         why = next((alert.text for alert in judgement.alerts if alert.level == "error"), "there are no judged errors")

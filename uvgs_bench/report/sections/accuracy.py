@@ -15,6 +15,7 @@ from uvgs_bench.report.quantities import (
 from uvgs_bench.store.run import Run
 
 _POSITION = ("lateral_x", "lateral_y", "depth", "lateral", "position")
+_MAGNITUDES = ("lateral", "depth", "position", "attitude")
 _ATTITUDE = ("tilt_x", "tilt_y", "roll", "attitude")
 _STATISTICS = {
     "Bias": "bias",
@@ -43,10 +44,10 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     if judgement.in_sample_summary is not None:
         blocks.append(_comparison_table(judgement.in_sample_summary, summary))
     blocks.append(_context_table(summary, judgement))
-    open_rows = tuple((COMPONENT_WORDS[name], notes) for name, c in summary.components.items() if (notes := _notes(c)))
+    open_rows = tuple((COMPONENT_WORDS[c.name], notes) for c in _chosen(summary, _MAGNITUDES) if (notes := _notes(c)))
     if open_rows:
         columns = (Column("Component"), Column("Because"))
-        blocks.append(Table("Why some intervals are open or missing.", columns, open_rows))
+        blocks.append(Table("Why some intervals are open or missing; single axes likewise.", columns, open_rows))
     return Section("accuracy", title, tuple(blocks))
 
 
@@ -87,7 +88,7 @@ def _statistics_table(summary: AccuracySummary, names: tuple[str, ...], caption:
 
 def _repeatability_table(summary: AccuracySummary) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for name in ("lateral", "depth", "position", "attitude"):
+    for name in _MAGNITUDES:
         for c in _chosen(summary, (name,)):
             scale = SCALES[c.unit]
             decimals = decimals_of([c.within_station, c.between_stations], scale.factor)
@@ -104,7 +105,7 @@ def _repeatability_table(summary: AccuracySummary) -> Table:
 
 def _comparison_table(in_sample: AccuracySummary, held_out: AccuracySummary) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for name in ("lateral", "depth", "position", "attitude"):
+    for name in _MAGNITUDES:
         if name not in in_sample.components or name not in held_out.components:
             continue
         fitted, judged = in_sample.components[name].rms, held_out.components[name].rms

@@ -28,7 +28,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         return None
     table = table.select(table.is_solved)
     gantry_sigma_m = 0.0 if judgement.registration is None else judgement.registration.gantry_sigma_m
-    z = _normalised(run, table, gantry_sigma_m)
+    z = normalised(run, table, gantry_sigma_m)
     text = (
         "Each error is divided by the standard deviation predicted for it (sensor, gantry and registration). Taller "
         "tails than the drawn law mean that the sensor is surer of itself than it should be."
@@ -43,8 +43,17 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     return Section("distribution", "Errors against the predicted law", (*blocks, *figures))
 
 
-def _normalised(run: Run, table: ErrorTable, gantry_sigma_m: float) -> FloatArray:
-    """Errors over their predicted standard deviations, shape (N, 6), rotation first."""
+def normalised(run: Run, table: ErrorTable, gantry_sigma_m: float) -> FloatArray:
+    """Errors over their predicted standard deviations.
+
+    Args:
+        run: The run; its samples hold the sensor's covariances.
+        table: N captures with a pose.
+        gantry_sigma_m: Standard deviation per axis of the carriage position, m.
+
+    Returns:
+        Shape (N, 6): rotation about camera x, y, z, then translation; NaN where a covariance is missing.
+    """
     covariances = {
         (sample.station, sample.t_ns): sample.outcome.covariance
         for sample in run.samples

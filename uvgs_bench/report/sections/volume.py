@@ -36,7 +36,9 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     everything = np.vstack([places, fitted])
     extent = float(np.linalg.norm(np.ptp(everything, axis=0)))
     longest = float(np.linalg.norm(errors, axis=1).max())
-    magnification = _rounded_down(_ARROW_SHARE * extent / longest) if longest > 0.0 and extent > 0.0 else 1.0
+    # Many stations lie close together: their arrows must stay short to be told apart.
+    share = min(_ARROW_SHARE, 0.8 / np.cbrt(len(places)))
+    magnification = _rounded_down(share * extent / longest) if longest > 0.0 and extent > 0.0 else 1.0
     figures = (
         _view_3d(places, errors, fitted, magnification),
         _plane(places, errors, magnification, "volume-front", (0, 1), "Seen along the optical axis"),
