@@ -7,7 +7,7 @@ import re
 from types import SimpleNamespace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.helpers.grbl_ports import MockGantry, linear_axes
@@ -20,7 +20,8 @@ from uvgs_bench.units import S_PER_MIN
 
 # A little beyond the travel on either side, on the borders, and what is no number at all.
 COORDINATE = st.one_of(
-    st.floats(-0.06, 0.01), st.sampled_from([0.0, -0.05, 1e-9, -0.05 - 1e-9, float("nan"), float("inf"), -1e9])
+    st.floats(-0.06, 0.01),
+    st.sampled_from([0.0, -0.01, -0.025, -0.04, -0.05, 1e-9, -0.05 - 1e-9, float("nan"), float("inf"), -1e9]),
 )
 STEP = st.tuples(st.sampled_from(["move", "jog"]), st.tuples(COORDINATE, COORDINATE, COORDINATE), st.floats(-0.01, 0.2))
 BOX = np.array([[-0.03, -0.03, -0.05], [-0.02, -0.02, 0.0]])
@@ -36,6 +37,7 @@ class _NoPatch:
 
 @settings(max_examples=40)
 @given(st.lists(STEP, min_size=1, max_size=6))
+@example([("move", (-0.01, -0.01, -0.02), 0.05), ("move", (-0.04, -0.04, -0.02), 0.05)])
 def test_nothing_outside_the_envelope_is_ever_sent(steps) -> None:
     envelope = Envelope(linear_axes(travel_m=0.05), (BOX,))
     mock = MockGantry(_NoPatch(), envelope=envelope)
