@@ -151,7 +151,7 @@ def demonstrate(
     board = read_board(examples / BOARD)
     calibration_file = folder / "calibration.yaml"
     with SimulatedBoardSource(bench.simulated, board, VIEW_COUNT, seed=seed) as views:
-        result = calibrate_from_source(views, board, bench.simulated.camera.model, sink=sink)
+        result = calibrate_from_source(views, board, bench.simulated.camera.model, camera_name="simulated", sink=sink)
     write_calibration(calibration_file, result.calibration, force=force)
     procedure = examples / PROCEDURE
     if station_count is not None:
