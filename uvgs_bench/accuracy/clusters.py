@@ -14,6 +14,7 @@ LEAST_PLACES = 8
 TAIL = 0.025
 """Probability left out at each end of an interval."""
 _RESAMPLES = 2000
+_PARAMETERS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +51,13 @@ class Clusters:
         index: Place of each capture as a running number, shape (n,).
         size: Captures per place, shape (S,).
         draws: How often each place is drawn in each resample, shape (B, S).
+        shifts: One standard normal draw of the registration's doubt per resample, shape (B, 12).
     """
 
     index: NDArray[np.intp]
     size: FloatArray
     draws: FloatArray
+    shifts: FloatArray
 
     @classmethod
     def of(cls, place: NDArray[np.int64], rng: np.random.Generator) -> Clusters:
@@ -71,7 +74,7 @@ class Clusters:
         S = len(names)
         size = np.bincount(index, minlength=S).astype(np.float64)
         draws = rng.multinomial(S, np.full(S, 1.0 / S), size=_RESAMPLES) if S else np.empty((_RESAMPLES, 0))
-        return cls(index, size, draws.astype(np.float64))
+        return cls(index, size, draws.astype(np.float64), rng.normal(size=(_RESAMPLES, _PARAMETERS)))
 
     @property
     def count(self) -> int:

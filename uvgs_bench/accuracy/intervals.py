@@ -34,7 +34,7 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
 
     Args:
         errors: Errors of captures with a pose, shape (n, d), d >= 1.
-        factor: Effect of the registration's doubt on them, shape (n, d, k).
+        factor: Effect of the registration's doubt on them, shape (n, d, 12).
         clusters: Their places.
 
     Returns:
@@ -89,7 +89,7 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
         total = float(np.hypot(sigma, np.linalg.norm(shared_mean)))
         bias = clusters.estimate(bias_value, bias_value - q_high * total, bias_value - q_low * total)
     else:
-        radius = _mean_radius(m - mean, shared_mean, S)
+        radius = _mean_radius(m - mean, clusters.shifts @ shared_mean.T, S)
         bias = clusters.estimate(bias_value, max(bias_value - radius, 0.0), bias_value + radius)
     return MomentIntervals(bias, spread, rms)
 
@@ -170,15 +170,12 @@ def _log_interval(
     return float(value * np.exp(-q_high * total)), float(value * np.exp(min(-q_low * total, 50.0)))
 
 
-def _mean_radius(deviations: FloatArray, shared_mean: FloatArray, S: int) -> float:
+def _mean_radius(deviations: FloatArray, shared: FloatArray, S: int) -> float:
     """Radius around the mean vector that holds the true one with 95 %: its length can be off by no more."""
     from scipy import stats
 
-    d = deviations.shape[1]
     small = np.sqrt(S / (S - 1.0)) * stats.t.ppf(1.0 - TAIL, S - 1) / stats.norm.ppf(1.0 - TAIL)
-    drawn = float(np.quantile(np.linalg.norm(deviations, axis=1), 1.0 - 2.0 * TAIL)) * small
-    shared = float(np.sqrt((shared_mean**2).sum() * stats.chi2.ppf(1.0 - 2.0 * TAIL, d) / d))
-    return float(np.hypot(drawn, shared))
+    return float(np.quantile(np.linalg.norm(small * deviations + shared, axis=1), 1.0 - 2.0 * TAIL))
 
 
 def within_and_between(errors: FloatArray, clusters: Clusters) -> tuple[Estimate, Estimate]:

@@ -68,7 +68,7 @@ class Alignment:
             distance = np.linalg.norm(residual, axis=1)
             # Weights and scale that chase each other need not settle: the scale stops following after a while.
             if iteration <= _SCALE_ITERATIONS:
-                scale = usual_distance(distance)
+                scale = usual_distance(distance, self.shares)
             weights = np.minimum(1.0, _HUBER * scale / np.maximum(distance, 1e-300))
             w = self.shares * weights
             H = np.einsum("n,nki,nkj->ij", w, J, J, optimize=True)
@@ -148,9 +148,20 @@ class Alignment:
         return float(np.einsum("si,si->", pull, np.linalg.solve(info, pull[:, :, None])[:, :, 0]))
 
 
-def usual_distance(distance: FloatArray) -> float:
-    """Robust scale of whitened 6-vectors: 1 when covariances are right."""
-    return max(float(np.median(distance)) / _MEDIAN_DISTANCE, 1e-9)
+def usual_distance(distance: FloatArray, shares: FloatArray) -> float:
+    """Robust scale of whitened 6-vectors: 1 when covariances are right.
+
+    Args:
+        distance: Lengths, shape (N,).
+        shares: Share of each capture in its place, shape (N,): places, not captures, have a say in what is usual.
+
+    Returns:
+        Weighted median over the median expected.
+    """
+    order = np.argsort(distance)
+    reached = np.cumsum(shares[order])
+    middle = float(distance[order[int(np.searchsorted(reached, 0.5 * reached[-1]))]])
+    return max(middle / _MEDIAN_DISTANCE, 1e-9)
 
 
 def _whitening(data: Observations, gantry_sigma_m: float) -> FloatArray:

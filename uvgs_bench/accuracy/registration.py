@@ -190,7 +190,7 @@ def fit_registration(
         station_count=len(places),
         capture_count=data.count,
         downweighted_count=int((weights < 1.0).sum()),
-        outlier_count=int((distance > _OUTLIER * _TYPICAL_LENGTH * usual_distance(distance)).sum()),
+        outlier_count=int((distance > _OUTLIER * _TYPICAL_LENGTH * usual_distance(distance, fit.shares)).sum()),
         variance_factor=factor,
         degrees_of_freedom=degrees,
         gantry_sigma_m=gantry_sigma_m,

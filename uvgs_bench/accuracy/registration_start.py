@@ -1,7 +1,7 @@
 """First guess of a registration in closed form, from differences between stations only.
 
 Relative rotations of two stations and, where the carriage did not turn between them, their displacement are seen by the
-camera rotated by the left pose alone: that gives its rotation (Wahba's problem); the right rotation is a mean, and both
+camera rotated by the left pose alone: that gives its rotation (Wahba's problem); the right rotation is a chordal mean, and both
 translations are linear. Where only one direction is known, the angle about it is scanned.
 
 Source: G. Wahba, 1965; F. L. Markley, Attitude determination using vector observations, 1988.
@@ -13,7 +13,7 @@ import numpy as np
 
 from uvgs_bench.accuracy.tangent import rotation_logs
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.geometry.se3 import mean_rotation, nearest_rotation, so3_exp
+from uvgs_bench.geometry.se3 import nearest_rotation, so3_exp
 
 _MOST_STATIONS = 60
 _SCAN_STEPS = 24
@@ -92,12 +92,13 @@ def _wahba(there: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray 
 
 
 def _robust_mean(rotations: FloatArray) -> FloatArray:
+    """Chordal mean by least absolute deviations."""
     weights = np.ones(len(rotations))
     R = rotations[0]
     for _ in range(_ROBUST_PASSES):
         R = nearest_rotation(np.einsum("n,nij->ij", weights, rotations))
         weights = _absolute_weights(np.linalg.norm(rotation_logs(rotations @ R.T), axis=1))
-    return mean_rotation(np.ascontiguousarray(rotations), weights)
+    return R
 
 
 def _translations(
