@@ -232,7 +232,7 @@ def test_pictures_that_do_not_fit_the_calibration_are_refused_before_a_run_begin
     set_up = set_up_of(files)
     lens = set_up.calibration.lens
     half = Calibration(Lens(lens.model, lens.width_px // 2, lens.height_px // 2, lens.parameters), "half")
-    with pytest.raises(CalibrationError, match="is 1280x960 px but calibration .half. is for 640x480 px"):
+    with pytest.raises(CalibrationError, match=r"is 1280x960 px but calibration .half. is for 640x480 px"):
         sweep(replace(set_up, calibration=half), tmp_path, simulated_speed=SPEED)
     assert list(tmp_path.iterdir()) == []
 

@@ -258,3 +258,21 @@ def test_toml_text_refuses_what_it_cannot_say_and_round_trips_the_rest() -> None
     assert tomllib.loads(toml_text({"a": None, "b": 1})) == {"b": 1}
     with pytest.raises(TypeError, match=r"t\.bad"):
         toml_text({"t": {"bad": object()}})
+
+
+def test_a_journal_cut_anywhere_is_read_up_to_the_cut_and_goes_on(tmp_path: Path) -> None:
+    writer = RunWriter.create(tmp_path / "run", manifest(station_count=2), {})
+    for index in range(3):
+        writer.append(sample(index))
+    journal = tmp_path / "run" / "samples.jsonl"
+    content = journal.read_bytes()
+    ends = [i + 1 for i, byte in enumerate(content) if byte == 0x0A]
+    for cut in sorted({*range(0, len(content), 97), *ends, *(end - 1 for end in ends)}):
+        journal.write_bytes(content[:cut])
+        run = read_run(tmp_path / "run")
+        assert len(run.samples) == sum(end <= cut for end in ends)
+        again = RunWriter.reopen(run, 0)
+        again.append(sample(again.sample_count, station=1, attempt=again.attempt_of(1)))
+        read = read_run(tmp_path / "run")
+        assert read.remarks == ()
+        assert len({s.index for s in read.samples}) == len(read.samples)
