@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 import typer
 from typer.testing import CliRunner, Result
 
@@ -12,6 +13,8 @@ from tests.helpers.synthetic_run import synthetic_run, write_run
 from uvgs_bench.accuracy.judgement import Limit
 from uvgs_bench.cli.report import report
 from uvgs_bench.errors import ConfigError, RunError
+from uvgs_bench.store import judging
+from uvgs_bench.store.run import read_run
 
 LOOSE = (Limit.of("position_rms_mm", 50.0), Limit.of("availability_percent", 20.0))
 TIGHT = (Limit.of("position_rms_mm", 0.001),)
@@ -72,8 +75,11 @@ def test_an_unknown_format_is_refused_before_anything_is_read(tmp_path: Path) ->
     assert "unknown format 'docx'" in str(result.exception)
 
 
-def test_own_reports_are_rebuilt_but_foreign_files_are_kept(tmp_path: Path) -> None:
+def test_own_reports_are_rebuilt_but_foreign_files_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = make_run(tmp_path)
+    # What is judged does not matter here, and judging takes long.
+    judgement = judging.judge_run(read_run(run))
+    monkeypatch.setattr(judging, "judge_run", lambda _run, *, seed: judgement)
     elsewhere = tmp_path / "out"
     (run / "report.json").write_text("of an older program")
     assert uvgs_report(str(run), "--format", "json").exit_code == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import re
@@ -115,9 +116,10 @@ def as_shown(cell: dict[str, Any], unit_in_heading: str) -> str:
     return " ".join(f"{cell['shown']} {unit}".split())
 
 
+@functools.cache
 def pdf_text(pdf: bytes) -> str:
     pages = PdfReader(io.BytesIO(pdf)).pages
-    return "".join("".join(page.extract_text().split()) for page in pages).replace("\u200b", "")
+    return "".join("".join(page.extract_text().split()) for page in pages)
 
 
 def squeezed(text: str) -> str:
@@ -218,6 +220,7 @@ def test_the_pdf_is_titled_tagged_numbered_and_brings_its_fonts(pdf: bytes, docu
     assert reader.metadata is not None
     assert document.subtitle in str(reader.metadata.title)
     assert reader.trailer["/Root"]["/MarkInfo"]["/Marked"]  # type: ignore[index]
+    assert "\u200b" not in pdf_text(pdf)
     for number, sheet in enumerate(reader.pages, start=1):
         assert f"{number}/{len(reader.pages)}" in squeezed(sheet.extract_text())
         for font in sheet["/Resources"]["/Font"].values():  # type: ignore[index]
