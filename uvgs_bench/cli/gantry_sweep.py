@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def gantry_sweep(
     procedure: Annotated[Path | None, typer.Argument(help="Procedure file; with --resume that of the run.")] = None,
-    bench: Annotated[Path | None, typer.Option(help=f"Bench file.  [default: {DEFAULT_BENCH}]")] = None,
+    bench: Annotated[Path | None, typer.Option(help=f"Bench file; {DEFAULT_BENCH} when absent.")] = None,
     camera: Annotated[Path | None, typer.Option(help="Camera calibration in place of the bench's.")] = None,
     port: Annotated[str | None, typer.Option(help="Gantry in place of the bench's, like grbl:/dev/ttyACM0.")] = None,
     camera_source: Annotated[str | None, typer.Option(help="Camera in place of the bench's, like uvc:0.")] = None,

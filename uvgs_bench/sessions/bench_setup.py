@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Self
 
-from uvgs_bench import __version__
 from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.devices.bench import Bench
@@ -27,6 +24,7 @@ from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.events import EventSink, ignore_events
 from uvgs_bench.sessions.planning import Plan, plan
 from uvgs_bench.sessions.procedure import read_procedure
+from uvgs_bench.sessions.provenance import controller_facts, program_versions
 from uvgs_bench.sessions.resume import check_same_setup, resume_sweep
 from uvgs_bench.sessions.sweep import Rig, SweepResult, run_sweep
 from uvgs_bench.store.beacons import read_beacon
@@ -46,7 +44,6 @@ from uvgs_bench.store.toml_text import toml_text
 
 DEFAULT_SIMULATED_SPEED = 50.0
 _CONTROLLER_SETTINGS = "controller_settings"
-_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "pyserial")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +147,7 @@ def read_setup(
     )
     if _is_own_camera(set_up.camera_spec) and not _is_own_gantry(set_up.gantry_spec):
         raise ConfigError(
-            f"the simulated camera sees only the simulated gantry, not {set_up.gantry_spec}", set_up.camera_spec
+            f"the simulated camera (sim:) sees only the simulated gantry, not {set_up.gantry_spec}", key="camera_source"
         )
     return set_up
 
@@ -373,8 +370,8 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
         limits=procedure.limits,
         seed=procedure.seed,
         hashes=set_up.hashes(info),
-        versions=_versions(),
-        gantry_info=_gantry_info(info.firmware, info.version, info.options, info.settings),
+        versions=program_versions(),
+        gantry_info=controller_facts(info),
         camera_spec=set_up.camera_spec,
         gantry_spec=set_up.gantry_spec,
         simulated=set_up.is_simulated,
@@ -386,23 +383,3 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
         settle_s=procedure.settle_s,
         sources=set_up.sources,
     )
-
-
-def _gantry_info(firmware: str, release: str, options: str, settings: Mapping[str, str]) -> dict[str, str]:
-    return {
-        "firmware": firmware,
-        "version": release,
-        "options": options,
-        **{f"${number}": value for number, value in settings.items()},
-    }
-
-
-def _versions() -> dict[str, str]:
-    versions = {"uvgs_bench": __version__, "python": platform.python_version(), "system": platform.platform()}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            # Another build of the same library may stand in for it.
-            continue
-    return versions
