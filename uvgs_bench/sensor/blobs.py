@@ -16,6 +16,8 @@ from uvgs_bench.sensor.preprocess import intensity, segment
 MAX_COMPONENTS = 256
 # A binary centroid is off by the pixel grid, not by noise: about 0.3 px over the root of the diameter.
 _BINARY_SIGMA_PX = 0.3
+# Of a million pixels of pure noise, one or two exceed this many deviations.
+_PEAK_TO_NOISE = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +99,14 @@ def full_scale_dn(image: ImageArray) -> float:
     return float(next(top for top in (1023, 4095, 16383, 65535) if brightest <= top))
 
 
+def noise_dn(raw: ImageArray) -> float:
+    """Deviation of the pixel noise, DN, from neighbours on a sparse grid: a gradient or a few lights do not matter."""
+    left = raw[3::17, 5:-1:19].astype(np.float64)
+    right = raw[3::17, 6::19].astype(np.float64)
+    # The median of |difference| of two normal values is 0.954 of their deviation.
+    return float(np.median(np.abs(left - right[:, : left.shape[1]]))) / 0.954 if left.size else 0.0
+
+
 def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     """All bright blobs of a picture, before any is judged.
 
@@ -124,7 +134,7 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     if config.detection == "paper":
         found = _components_of_segmentation(raw, config)
     else:
-        floor = config.threshold_floor * contrast
+        floor = max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise_dn(raw))
         table = np.empty((MAX_COMPONENTS, dk.COMPONENT_COLUMNS))
         half = config.window_px // 2
         level = background + floor

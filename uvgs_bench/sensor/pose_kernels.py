@@ -49,47 +49,79 @@ def normal_equations(
 
     Source: equations 2 to 4 of the uVGS-2 paper, with rotation first.
     """
-    H[:] = 0.0
-    g[:] = 0.0
+    h00 = h10 = h11 = h20 = h21 = h22 = 0.0
+    h30 = h31 = h32 = h33 = h40 = h41 = h42 = h43 = h44 = 0.0
+    h50 = h51 = h52 = h53 = h54 = h55 = 0.0
+    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
     chi2 = 0.0
-    row = np.empty(6)
     for i in range(points.shape[0]):
-        a = R[0, 0] * points[i, 0] + R[0, 1] * points[i, 1] + R[0, 2] * points[i, 2]
-        b = R[1, 0] * points[i, 0] + R[1, 1] * points[i, 1] + R[1, 2] * points[i, 2]
-        c = R[2, 0] * points[i, 0] + R[2, 1] * points[i, 1] + R[2, 2] * points[i, 2]
-        x = a + t[0]
-        y = b + t[1]
-        z = c + t[2]
-        u, v, ok, ux, uy, uz, vx, vy, vz = project_point_with_jacobian(model_id, lens, x, y, z)
-        if not ok:
+        x = R[0, 0] * points[i, 0] + R[0, 1] * points[i, 1] + R[0, 2] * points[i, 2] + t[0]
+        y = R[1, 0] * points[i, 0] + R[1, 1] * points[i, 1] + R[1, 2] * points[i, 2] + t[1]
+        z = R[2, 0] * points[i, 0] + R[2, 1] * points[i, 1] + R[2, 2] * points[i, 2] + t[2]
+        u, v, is_valid, ux, uy, uz, vx, vy, vz = project_point_with_jacobian(model_id, lens, x, y, z)
+        if not is_valid:
             return np.inf
         qx = x - pivot[0]
         qy = y - pivot[1]
         qz = z - pivot[2]
-        weight = 1.0 / (sigma[i] * sigma[i])
+        residual[i, 0] = px[i, 0] - u
+        residual[i, 1] = px[i, 1] - v
+        whiten = 1.0 / sigma[i]
         for axis in range(2):
             if axis == 0:
-                dx, dy, dz = ux, uy, uz
-                e = px[i, 0] - u
+                d, e, f = whiten * ux, whiten * uy, whiten * uz
+                r = whiten * (px[i, 0] - u)
             else:
-                dx, dy, dz = vx, vy, vz
-                e = px[i, 1] - v
-            residual[i, axis] = e
-            row[0] = dz * qy - dy * qz
-            row[1] = dx * qz - dz * qx
-            row[2] = dy * qx - dx * qy
-            row[3] = dx
-            row[4] = dy
-            row[5] = dz
-            chi2 += weight * e * e
-            for j in range(6):
-                scaled = weight * row[j]
-                g[j] += scaled * e
-                for k in range(j + 1):
-                    H[j, k] += scaled * row[k]
-    for j in range(6):
-        for k in range(j):
-            H[k, j] = H[j, k]
+                d, e, f = whiten * vx, whiten * vy, whiten * vz
+                r = whiten * (px[i, 1] - v)
+            a = f * qy - e * qz
+            b = d * qz - f * qx
+            c = e * qx - d * qy
+            chi2 += r * r
+            g0 += a * r
+            g1 += b * r
+            g2 += c * r
+            g3 += d * r
+            g4 += e * r
+            g5 += f * r
+            h00 += a * a
+            h10 += b * a
+            h11 += b * b
+            h20 += c * a
+            h21 += c * b
+            h22 += c * c
+            h30 += d * a
+            h31 += d * b
+            h32 += d * c
+            h33 += d * d
+            h40 += e * a
+            h41 += e * b
+            h42 += e * c
+            h43 += e * d
+            h44 += e * e
+            h50 += f * a
+            h51 += f * b
+            h52 += f * c
+            h53 += f * d
+            h54 += f * e
+            h55 += f * f
+    g[0], g[1], g[2], g[3], g[4], g[5] = g0, g1, g2, g3, g4, g5
+    H[0, 0], H[1, 1], H[2, 2], H[3, 3], H[4, 4], H[5, 5] = h00, h11, h22, h33, h44, h55
+    H[0, 1] = H[1, 0] = h10
+    H[0, 2] = H[2, 0] = h20
+    H[1, 2] = H[2, 1] = h21
+    H[0, 3] = H[3, 0] = h30
+    H[1, 3] = H[3, 1] = h31
+    H[2, 3] = H[3, 2] = h32
+    H[0, 4] = H[4, 0] = h40
+    H[1, 4] = H[4, 1] = h41
+    H[2, 4] = H[4, 2] = h42
+    H[3, 4] = H[4, 3] = h43
+    H[0, 5] = H[5, 0] = h50
+    H[1, 5] = H[5, 1] = h51
+    H[2, 5] = H[5, 2] = h52
+    H[3, 5] = H[5, 3] = h53
+    H[4, 5] = H[5, 4] = h54
     return chi2
 
 

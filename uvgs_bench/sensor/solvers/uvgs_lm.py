@@ -10,9 +10,11 @@ from uvgs_bench.geometry.compiled import compiled
 from uvgs_bench.sensor.pose_kernels import normal_equations, solve_damped, turn_and_shift
 from uvgs_bench.sensor.solution import Solution
 
-# Steps below these change no digit a user sees: turn (rad) and shift relative to the range.
-_STEP = 1e-11
-_COST = 1e-13
+# What is left to the minimum may be this at most: turn (rad) plus shift relative to the range.
+_REMAINDER = 1e-11
+# Rounding moves the cost by less than this, relative and absolute.
+_ROUNDING = 1e-12
+_ROUNDING_CHI2 = 1e-18
 
 
 @compiled
@@ -45,47 +47,50 @@ def refine_pose(
 
     Source: (J^T J + mu I) xi = -J^T e, section 2.5 of the uVGS-2 paper, with mu scaled by the diagonal.
     """
-    n = points.shape[0]
     H = np.empty((6, 6))
     g = np.empty(6)
     H_new = np.empty((6, 6))
     g_new = np.empty(6)
-    L = np.zeros((6, 6))
-    step = np.zeros(6)
-    residual = np.empty((n, 2))
+    L = np.empty((6, 6))
+    step = np.empty(6)
+    residual = np.empty((points.shape[0], 2))
     R_new = np.empty((3, 3))
     t_new = np.empty(3)
     cost = normal_equations(model_id, lens, points, px, sigma, R, t, t, H, g, residual)
     if cost == np.inf:
         return np.inf, 0, False
     damping = 1e-6
+    last = np.inf
     for iteration in range(max_iterations):
         if not solve_damped(H, g, damping, step, L):
             damping = max(10.0 * damping, 1e-6)
             if damping > 1e10:
                 return cost, iteration + 1, False
             continue
-        turn = abs(step[0]) + abs(step[1]) + abs(step[2])
-        shift = abs(step[3]) + abs(step[4]) + abs(step[5])
-        scale = abs(t[0]) + abs(t[1]) + abs(t[2])
+        size = abs(step[0]) + abs(step[1]) + abs(step[2])
+        size += (abs(step[3]) + abs(step[4]) + abs(step[5])) / (abs(t[0]) + abs(t[1]) + abs(t[2]))
         turn_and_shift(R, t, step, R_new, t_new)
         new_cost = normal_equations(model_id, lens, points, px, sigma, R_new, t_new, t_new, H_new, g_new, residual)
-        if new_cost <= cost * (1.0 + 1e-15):
-            drop = cost - new_cost
-            R[:] = R_new
-            t[:] = t_new
-            H[:] = H_new
-            g[:] = g_new
+        if new_cost <= cost + _ROUNDING * cost + _ROUNDING_CHI2:
+            for i in range(3):
+                t[i] = t_new[i]
+                for j in range(3):
+                    R[i, j] = R_new[i, j]
+            H, H_new = H_new, H
+            g, g_new = g_new, g
             cost = new_cost
             damping = max(damping * 0.1, 1e-12)
-            if turn + shift / scale < _STEP or (drop <= _COST * cost and turn + shift / scale < 1e-7):
+            # Near the minimum steps shrink by a steady ratio, so the rest is a geometric series.
+            if size < _REMAINDER or (size < 1e-6 and last < 1.0 and size * size < _REMAINDER * (last - size)):
                 return cost, iteration + 1, True
+            last = size
             if iteration >= 2 and cost > give_up_chi2:
                 return cost, iteration + 1, False
         else:
-            if turn + shift / scale < 1e-9:
+            if size < 1e-9:
                 return cost, iteration + 1, True
             damping = max(damping * 10.0, 1e-4)
+            last = np.inf
             if damping > 1e10:
                 return cost, iteration + 1, False
     return cost, max_iterations, False
