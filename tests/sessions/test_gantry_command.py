@@ -14,6 +14,7 @@ import pytest
 from uvgs_bench.cli import app as cli
 from uvgs_bench.devices.clock import RealClock
 from uvgs_bench.devices.gantry.grbl import GrblGantry
+from uvgs_bench.devices.gantry.grbl_link import GrblLink
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = """
@@ -119,7 +120,7 @@ def test_stop(uvgs) -> None:
 
 
 def test_stop_without_an_answer_is_a_hardware_failure(uvgs, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(GrblGantry, "_await_welcome", lambda *_: [])
+    monkeypatch.setattr(GrblLink, "await_welcome", lambda _: [])
     code, printed, _ = uvgs("stop")
     assert code == 5
     assert "look at the machine" in printed

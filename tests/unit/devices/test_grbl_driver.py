@@ -406,7 +406,7 @@ def test_a_controller_that_does_not_greet_is_reset(monkeypatch: pytest.MonkeyPat
     assert gantry.info.firmware == "grblHAL"
     assert spy.events[0][1:] == (">!", "0x18")
     with pytest.raises(GantryRefused, match="not allowed in a critical event"):
-        gantry._command("$N", 1.0)
+        gantry._link.command("$N", 1.0)
 
 
 def test_a_port_that_vanishes(monkeypatch: pytest.MonkeyPatch) -> None:

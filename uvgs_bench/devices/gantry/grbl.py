@@ -17,26 +17,24 @@ from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
 from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, WireLog
-from uvgs_bench.devices.gantry.grbl_codes import Dialect, find_dialect
+from uvgs_bench.devices.gantry.grbl_codes import find_dialect
+from uvgs_bench.devices.gantry.grbl_link import GrblLink
 from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings, read_settings
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
-from uvgs_bench.errors import GantryAlarm, GantryError, GantryLost, GantryRefused, GantryTimeout
+from uvgs_bench.errors import GantryError, GantryLost, GantryRefused, GantryTimeout
 from uvgs_bench.geometry import FloatArray, read_only
-from uvgs_bench.units import ns_from_s
+from uvgs_bench.units import ns_from_s, s_from_ns
 
-_WELCOME_S = 3.0
 _REPLY_S = 5.0
-_REPORT_S = 1.0
-_QUIET_S = 0.2
 _POLL_S = 0.1
 _WATCH_S = 0.25
-_MARGIN_S = 0.015
+_MARGIN_S = 0.005
 _LATE_S = 5.0
 _SETTLED_ELSEWHERE_S = 0.5
+_REPLY_GRACE_S = 0.2
 _STOP_S = 10.0
+_NEVER = -1
 _BARRIER = "G4P0.01"
-# The offset is in every 30th report at least.
-_REPORTS_TO_OFFSET = 40
 
 
 class GrblGantry:
@@ -53,17 +51,14 @@ class GrblGantry:
 
     def __init__(self, wire: GrblWire, envelope: Envelope, *, clock: Clock, homing_timeout_s: float) -> None:
         self._wire = wire
+        self._link = GrblLink(wire, clock)
         self._envelope = envelope
         self._clock = clock
         self._homing_timeout_s = homing_timeout_s
         self._is_open = True
-        self._is_homed = False
+        self._homed_epoch = _NEVER
         self._is_homing = False
         self._may_move = False
-        self._line_under_way = ""
-        self._reports_due = 0
-        self._offset: FloatArray | None = None
-        self._dialect: Dialect = find_dialect({})
         self._info = ControllerInfo("", "", "", {})
         self._settings = ControllerSettings(read_only(np.ones(len(envelope.axes))), has_homing=False)
 
@@ -115,7 +110,7 @@ class GrblGantry:
         try:
             for byte in (protocol.JOG_CANCEL, protocol.HOLD, protocol.RESET):
                 gantry._wire.send_byte(byte)
-            return gantry._await_welcome(_WELCOME_S) is None
+            return gantry._link.await_welcome() is None
         finally:
             gantry._wire.close()
 
@@ -160,14 +155,15 @@ class GrblGantry:
             raise GantryRefused(
                 "homing is switched off in the controller ($22=0): its position cannot be known", self.port, 5, "$H"
             )
-        self._is_homed = False
+        self._homed_epoch = _NEVER
         self._is_homing = self._may_move = True
         try:
-            self._command("$H", self._homing_timeout_s)
+            self._link.command("$H", self._homing_timeout_s)
         except GantryTimeout:
-            self._reset()
+            self._link.reset()
+            self._is_homing = self._may_move = False
             raise GantryTimeout(f"homing did not end within {self._homing_timeout_s:g} s", self.port) from None
-        except GantryRefused:
+        except GantryError:
             self._is_homing = self._may_move = False
             raise
         # A failed cycle is also followed by an ok; only an idle controller without alarm is homed.
@@ -175,7 +171,7 @@ class GrblGantry:
         if state.activity != "Idle":
             raise GantryError(f"after homing the controller is in state {state.activity} instead of Idle", self.port)
         self._is_homing = self._may_move = False
-        self._is_homed = True
+        self._homed_epoch = self._link.epoch
         return self._ask_state()
 
     def move_to(self, position: Sequence[float] | FloatArray, speed: float) -> GantryState:
@@ -211,7 +207,7 @@ class GrblGantry:
         if self._is_at(start.position, target):
             return start
         plan = protocol.plan_path(self.axes, target - start.position, speed)
-        style: Literal["jog", "line"] = "jog" if self._dialect.has_jog else "line"
+        style: Literal["jog", "line"] = "jog" if self._link.dialect.has_jog else "line"
         try:
             line = protocol.write_move(self.axes, target, plan.feed_per_min, style=style)
         except ValueError as error:
@@ -219,9 +215,9 @@ class GrblGantry:
         self._may_move = True
         begun_ns = self._clock.now_ns()
         try:
-            self._command(line, _REPLY_S)
+            self._link.command(line, _REPLY_S)
             if style == "line":
-                self._command(_BARRIER, plan.duration_s + _LATE_S)
+                self._link.command(_BARRIER, plan.duration_s + _LATE_S)
             state = self._await_arrival(target, begun_ns, plan.duration_s)
         except GantryTimeout:
             self._brake()
@@ -251,17 +247,16 @@ class GrblGantry:
         """
         self._check_open()
         if self._is_homing:
-            self._is_homing = self._is_homed = False
-            self._reset()
-            self._may_move = False
+            self._link.reset()
+            self._is_homing = self._may_move = False
             return self._ask_state()
         self._wire.send_byte(protocol.JOG_CANCEL)
         state = self._come_to_rest()
-        if state.activity == "Hold" or self._line_under_way:
+        if state.activity == "Hold" or self._link.line_under_way:
             # At rest a reset keeps the position; it clears a held move, and a line that was cut in two.
             is_homed = self._is_homed
-            self._reset()
-            self._is_homed = is_homed
+            self._link.reset()
+            self._homed_epoch = self._link.epoch if is_homed else _NEVER
             state = self._ask_state()
         self._may_move = False
         return state
@@ -292,154 +287,28 @@ class GrblGantry:
     # --- start -----------------------------------------------------------------------------------------------------
 
     def _start(self) -> None:
-        heard = self._await_welcome(_WELCOME_S)
-        if heard is not None:
-            # Not every controller greets when its port is opened; all do after a reset.
-            self._wire.send_byte(protocol.RESET)
-            more = self._await_welcome(_WELCOME_S)
-            if more is not None:
-                self._refuse_start([*heard, *more])
-            self._await_quiet()
-        identity = {
-            message.name: message.text for message in self._query("$I") if isinstance(message, protocol.Message)
-        }
-        settings = {m.number: m.value for m in self._query("$$") if isinstance(m, protocol.Setting)}
-        self._dialect = find_dialect(identity)
-        version = identity.get("VER", "").rstrip(":")
-        self._info = ControllerInfo(self._dialect.name, version, identity.get("OPT", ""), settings)
+        self._link.start()
+        answers = self._link.command("$I", _REPLY_S)
+        identity = {answer.name: answer.text for answer in answers if isinstance(answer, protocol.Message)}
+        answers = self._link.command("$$", _REPLY_S)
+        settings = {answer.number: answer.value for answer in answers if isinstance(answer, protocol.Setting)}
+        dialect = self._link.dialect = find_dialect(identity)
+        self._info = ControllerInfo(
+            dialect.name, identity.get("VER", "").rstrip(":"), identity.get("OPT", ""), settings
+        )
         self._settings = read_settings(settings, self.axes, self.port)
         self._ask_state()
 
-    def _refuse_start(self, heard: list[str]) -> None:
-        if heard:
-            raise GantryError(
-                f"what answers is no GRBL controller: expected a line like \"Grbl 1.1h ['$' for help]\", "
-                f"got {heard[0][:60]!r}",
-                self.port,
-            )
-        raise GantryTimeout(
-            "nothing answers: expected the welcome of a GRBL controller at 115200 baud, also after a reset", self.port
-        )
-
-    def _query(self, line: str) -> list[protocol.Received]:
-        received: list[protocol.Received] = []
-        self._command(line, _REPLY_S, received)
-        return received
-
-    # --- one line, one reply ---------------------------------------------------------------------------------------
-
-    def _command(self, line: str, timeout_s: float, received: list[protocol.Received] | None = None) -> None:
-        if self._line_under_way:
-            raise GantryError(f"{self._line_under_way!r} is still unanswered: stop the gantry first", self.port)
-        self._line_under_way = line
-        self._wire.send_line(line)
-        deadline_ns = self._clock.now_ns() + ns_from_s(timeout_s)
-        while True:
-            item = self._receive(deadline_ns)
-            if item is None:
-                raise GantryTimeout(f"no reply to {line!r} within {timeout_s:g} s", self.port)
-            if isinstance(item, protocol.Reply):
-                break
-            if received is not None:
-                received.append(item)
-        if item.code:
-            meaning = self._dialect.meaning("error", item.code)
-            raise GantryRefused(f"refused {line!r} with error:{item.code}, {meaning}", self.port, item.code, line)
-
-    def _receive(self, deadline_ns: int) -> protocol.Received | None:
-        """The next line's meaning; keeps the ledger; an alarm or an unexpected welcome is raised."""
-        line = self._wire.read_line(deadline_ns)
-        if line is None:
-            return None
-        item = protocol.read_received(line)
-        if isinstance(item, protocol.Reply):
-            if not self._line_under_way:
-                self._wire.remark(f"a reply nobody waits for: {line}")
-            self._line_under_way = ""
-        elif isinstance(item, protocol.Alarm):
-            self._raise_alarm(item.code)
-        elif isinstance(item, protocol.Welcome):
-            self._lose_position()
-            self._line_under_way = ""
-            raise GantryLost("the controller restarted by itself; the position is lost, home again", self.port)
-        elif isinstance(item, protocol.Report):
-            self._reports_due = max(0, self._reports_due - 1)
-            if item.offset is not None:
-                self._offset = item.offset
-        return item
-
-    def _raise_alarm(self, code: int) -> None:
-        self._lose_position()
-        self._wire.remark(f"alarm {code}: reset, and everything until the welcome is discarded")
-        meaning = self._dialect.meaning("alarm", code)
-        try:
-            self._reset()
-        except GantryTimeout:
-            self._wire.remark("no welcome after the alarm")
-        raise GantryAlarm(f"alarm {code}: {meaning}; home again", self.port, code)
-
-    def _lose_position(self) -> None:
-        self._is_homed = self._is_homing = self._may_move = False
-
-    def _reset(self) -> None:
-        """Reset the controller and wait until it has started and is quiet; replies of before are forgotten."""
-        self._is_homed, self._offset = False, None
-        self._wire.send_byte(protocol.RESET)
-        heard = self._await_welcome(_WELCOME_S)
-        self._line_under_way, self._reports_due = "", 0
-        if heard is not None:
-            raise GantryTimeout(f"no welcome within {_WELCOME_S:g} s after a reset", self.port)
-        self._await_quiet()
-
-    def _await_quiet(self) -> None:
-        """Discard until nothing comes: a controller that also restarted by itself says its welcome twice."""
-        while self._wire.read_line(self._clock.now_ns() + ns_from_s(_QUIET_S)) is not None:
-            pass
-
-    def _await_welcome(self, timeout_s: float) -> list[str] | None:
-        """None when the welcome came, otherwise the lines that came instead."""
-        heard: list[str] = []
-        deadline_ns = self._clock.now_ns() + ns_from_s(timeout_s)
-        while (line := self._wire.read_line(deadline_ns)) is not None:
-            if isinstance(protocol.read_received(line), protocol.Welcome):
-                return None
-            heard.append(line)
-            if self._clock.now_ns() >= deadline_ns:
-                break
-        return heard
-
     # --- reports and motion ----------------------------------------------------------------------------------------
 
-    def _ask_state(self, timeout_s: float = _REPORT_S) -> GantryState:
-        silences = 0
-        for _ in range(_REPORTS_TO_OFFSET):
-            self._wire.send_byte(protocol.STATUS)
-            self._reports_due += 1
-            deadline_ns = self._clock.now_ns() + ns_from_s(timeout_s)
-            report = None
-            while self._reports_due and (item := self._receive(deadline_ns)) is not None:
-                report = item if isinstance(item, protocol.Report) else report
-            self._reports_due = 0
-            if report is None:
-                silences += 1
-                if silences == 2:
-                    raise GantryTimeout(f"no status report within {timeout_s:g} s", self.port)
-            elif (machine := self._machine_position(report)) is not None:
-                return self._state_of(report, machine)
-        raise GantryError("the controller reports work positions and never their offset (WCO)", self.port)
+    @property
+    def _is_homed(self) -> bool:
+        return self._homed_epoch == self._link.epoch
 
-    def _machine_position(self, report: protocol.Report) -> FloatArray | None:
-        machine = report.machine
-        offset, work = self._offset, report.work
-        if machine is None and offset is not None and work is not None and work.shape == offset.shape:
-            machine = work + offset
-        if machine is not None and machine.shape != (len(self.axes),):
-            raise GantryError(f"the controller reports {machine.size} axes, the bench has {len(self.axes)}", self.port)
-        return machine
-
-    def _state_of(self, report: protocol.Report, machine: FloatArray) -> GantryState:
+    def _ask_state(self) -> GantryState:
+        report, machine = self._link.ask_report(len(self.axes))
         if report.activity in ("Alarm", "Sleep"):
-            self._is_homed = False
+            self._homed_epoch = _NEVER
         fields = dict(report.fields)
         if report.substate:
             fields["substate"] = report.substate
@@ -462,11 +331,9 @@ class GrblGantry:
         deadline_ns = expected_ns + ns_from_s(0.5 * duration_s + _LATE_S)
         idle_since_ns: int | None = None
         while True:
-            now_ns = self._clock.now_ns()
-            is_late = now_ns >= expected_ns
-            self._listen_until(
-                now_ns + ns_from_s(_POLL_S) if is_late else min(now_ns + ns_from_s(_WATCH_S), expected_ns)
-            )
+            early_s = s_from_ns(expected_ns - self._clock.now_ns())
+            # Watch seldom on the way, closely just after the expected time, then as often as the controller likes.
+            self._link.listen(min(_WATCH_S, early_s) if early_s > 0.0 else min(_POLL_S, _MARGIN_S - early_s))
             state = self._ask_state()
             if state.activity == "Idle":
                 if self._is_at(state.position, target):
@@ -484,10 +351,6 @@ class GrblGantry:
             if state.t_ns > deadline_ns:
                 raise GantryTimeout(f"not arrived {_LATE_S:g} s after the expected time", self.port)
 
-    def _listen_until(self, deadline_ns: int) -> None:
-        while self._clock.now_ns() < deadline_ns:
-            self._receive(deadline_ns)
-
     def _come_to_rest(self) -> GantryState:
         deadline_ns = self._clock.now_ns() + ns_from_s(_STOP_S)
         while True:
@@ -498,15 +361,15 @@ class GrblGantry:
                 self._wire.send_byte(protocol.HOLD)
             elif not (state.activity == "Hold" and state.details.get("substate") == "1"):
                 # At rest; a line still under way may yet begin to move, so its reply is waited for.
-                if not self._line_under_way:
+                if not self._link.line_under_way:
                     return state
-                self._listen_until(self._clock.now_ns() + ns_from_s(_QUIET_S))
+                self._link.listen(_REPLY_GRACE_S)
                 again = self._ask_state()
                 if again.activity not in ("Jog", "Run"):
                     return again
             if self._clock.now_ns() > deadline_ns:
                 raise GantryTimeout(f"not at rest {_STOP_S:g} s after the stop", self.port)
-            self._listen_until(self._clock.now_ns() + ns_from_s(0.5 * _POLL_S))
+            self._link.listen(0.5 * _POLL_S)
 
     def _brake(self) -> None:
         """Tell the motion to stop, whatever it is, without waiting for anything."""
