@@ -52,19 +52,13 @@ def report(
 
 def _print_summary(document: Document) -> None:
     from rich.markup import escape
-    from rich.table import Table
 
     from uvgs_bench.cli.console import out, verdict_markup
 
     for banner in document.banners:
         out.print(f"[bold yellow]{escape(banner.text)}[/]", soft_wrap=True)
     out.print(f"{verdict_markup(document.verdict)}  {escape(document.headline)}", soft_wrap=True)
-    table = Table(box=None, pad_edge=False, show_header=False)
-    for justify in ("left", "right", "left", "left", "left"):
-        table.add_column(justify=justify, no_wrap=True)
     for figure in document.key_figures:
         interval = "" if figure.interval is None else f"95 %: {figure.interval.shown}"
-        table.add_row(
-            figure.label, f"[bold]{figure.number.shown}[/]", figure.number.unit, interval, escape(figure.note)
-        )
-    out.print(table)
+        line = f"{figure.label:<26} {figure.number.shown:>8} {figure.number.unit:<4} {interval:<24} {figure.note}"
+        out.print(escape(line), soft_wrap=True)

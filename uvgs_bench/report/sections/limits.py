@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from uvgs_bench.accuracy.judgement import QUANTITIES, Judgement, LimitVerdict
 from uvgs_bench.report.document import (
     Alert,
@@ -60,7 +62,11 @@ def _row(verdict: LimitVerdict) -> tuple[Cell, ...]:
         else f"{COMPONENT_WORDS[component].split(',')[0].split(' (')[0]}, {STATISTIC_WORDS[statistic]}"
     )
     unit = unit_word(limit.unit)
-    decimals = decimals_for([0.5 * (verdict.high - verdict.low), 0.1 * abs(verdict.value)], default=2)
+    # An open interval says nothing about digits; three of the figure itself are then all that can be defended.
+    width = 0.5 * (verdict.high - verdict.low)
+    decimals = decimals_for([width if np.isfinite(width) else 0.1 * abs(verdict.value)], default=2)
+    if limit.unit == "percent":
+        decimals = max(decimals, 1)
     sign = "≤" if limit.bound == "max" else "≥"
     return (
         words,

@@ -76,7 +76,7 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
     # Plotted as (forward, right, up), so that the picture stands upright while the ticks keep the camera's axes.
     order, sign = (2, 0, 1), np.array([1.0, 1.0, -1.0])
     with style(key):
-        figure = canvas(height_in=3.6, arranges_itself=False)
+        figure = canvas(height_in=3.9, arranges_itself=False)
         axes: Any = figure.add_axes((0.0, 0.02, 0.97, 0.93), projection="3d")
         for cloud, colour, marker, label in (
             (fitted, FAINT, "x", "registration stations"),
@@ -93,7 +93,7 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
         axes.set_xlabel("z, forward (m)")
         axes.set_ylabel("x, right (m)")
         axes.set_zlabel("-y, up (m)")
-        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.98)
+        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.87)
         axes.view_init(elev=22, azim=-118)
         axes.tick_params(labelsize=7.5)
         for which in (axes.xaxis, axes.yaxis, axes.zaxis):
