@@ -53,10 +53,11 @@ class MockGantry:
         device: GrblDevice | None = None,
         envelope: Envelope | None = None,
         homing_timeout_s: float = 120.0,
+        speed: float = SPEED,
     ) -> None:
         self.envelope = envelope or Envelope(linear_axes())
         self.device = device or GrblDevice.for_axes(self.envelope.axes)
-        self.clock = ScaledClock(SPEED)
+        self.clock = ScaledClock(speed)
         self.spy = Spy()
         monkeypatch.setitem(sim_bench._live, "mock", SimpleNamespace(clock=self.clock, device=self.device))
         self.gantry = GrblGantry.open(
