@@ -1,8 +1,8 @@
 """First guess of a registration in closed form, from differences between stations only.
 
 Relative rotations of two stations and, where the carriage did not turn between them, their displacement are seen by the
-camera rotated by the left pose alone: that gives its rotation (Wahba's problem); the right rotation is a chordal mean, and both
-translations are linear. Where only one direction is known, the angle about it is scanned.
+camera rotated by the left pose alone: that gives its rotation (Wahba's problem). The right rotation is a chordal mean,
+and both translations are linear. Where only one direction is known, the angle about it is scanned.
 
 Source: G. Wahba, 1965; F. L. Markley, Attitude determination using vector observations, 1988.
 """
