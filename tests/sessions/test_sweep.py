@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
+import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +83,51 @@ def test_whatever_breaks_a_move_stops_the_motion_and_closes_the_run(
     assert (run.ended, run.end_reason) == (ended, reason)
     assert run.committed_stations() == {0, 1, 2}
     assert any(isinstance(e, Remark) and f"--resume {fake.path}" in e.text for e in events)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupt_that_is_lost_on_its_way_still_ends_the_sweep(fake: FakeRig, number: signal.Signals) -> None:
+    def swallow(move: int) -> None:
+        if move == 2:
+            # As the interpreter does when a signal arrives within a destructor.
+            with contextlib.suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), number)
+                time.sleep(1.0)
+
+    fake.gantry.before_move = swallow
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(fake.plan, fake.rig, fake.writer())
+    assert fake.gantry.moves == 3
+    assert fake.gantry.history[-1] == "stop"
+    assert read_run(fake.path).ended == "interrupted"
+    assert signal.getsignal(number) is before
+
+
+def test_a_second_interrupt_does_not_cut_short_the_stopping(fake: FakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    interrupt_at_move(fake, 1, KeyboardInterrupt())
+    stop = fake.gantry.stop
+
+    def impatient() -> object:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        return stop()
+
+    monkeypatch.setattr(fake.gantry, "stop", impatient)
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(fake.plan, fake.rig, fake.writer())
+    assert fake.gantry.history[-1] == "stop"
+    assert read_run(fake.path).ended == "interrupted"
+
+
+def test_a_signal_that_is_ignored_stays_ignored(fake: FakeRig) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        fake.gantry.before_move = lambda move: os.kill(os.getpid(), signal.SIGHUP)
+        run_sweep(fake.plan, fake.rig, fake.writer())
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert read_run(fake.path).is_complete
 
 
 def test_the_motion_is_stopped_before_the_run_is_closed(fake: FakeRig, monkeypatch: pytest.MonkeyPatch) -> None:

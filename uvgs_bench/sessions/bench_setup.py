@@ -22,6 +22,7 @@ from uvgs_bench.errors import ConfigError, RunError
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.events import EventSink, ignore_events
+from uvgs_bench.sessions.interruption import interruptible
 from uvgs_bench.sessions.planning import Plan, plan
 from uvgs_bench.sessions.procedure import read_procedure
 from uvgs_bench.sessions.provenance import controller_facts, program_versions
@@ -220,7 +221,7 @@ def sweep(
         KeyboardInterrupt: As ``run_sweep``.
     """
     log = _EarlyLog()
-    with open_rig(set_up, log, simulated_speed) as rig:
+    with interruptible(), open_rig(set_up, log, simulated_speed) as rig:
         now = datetime.now(UTC)
         path = _free_folder(folder, f"{now:%Y%m%dT%H%M%SZ}_{set_up.plan.procedure.name}")
         writer = RunWriter.create(path, _manifest(set_up, rig, path.name, keep), set_up.files)
@@ -252,7 +253,7 @@ def resume(
         KeyboardInterrupt: As ``run_sweep``.
     """
     log = _EarlyLog()
-    with open_rig(set_up, log, simulated_speed) as rig:
+    with interruptible(), open_rig(set_up, log, simulated_speed) as rig:
         check_same_setup(run, set_up.plan, set_up.hashes(rig.gantry.info))
         writer = RunWriter.reopen(run, rig.clock.now_ns())
         log.forward_to(writer)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +20,7 @@ from uvgs_bench.geometry.se3 import hat, mean_rotation
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
+from uvgs_bench.sessions.interruption import check_interruption, interruptible, undisturbed
 from uvgs_bench.sessions.planning import Plan, Station
 from uvgs_bench.store.run import RunWriter, Sample
 from uvgs_bench.units import ns_from_s, s_from_ns
@@ -149,6 +147,7 @@ def check_live(rig: Rig) -> None:
 
 def home(gantry: Gantry, sink: EventSink) -> None:
     """Home the gantry with progress. Raises GantryError."""
+    check_interruption()
     sink(StageStarted("homing", 1))
     gantry.home()
     sink(StageFinished("homing", "position known"))
@@ -171,6 +170,7 @@ def go_to(plan: Plan, station: Station, rig: Rig) -> GantryState:
     """
     procedure = plan.procedure
     for position in station.path:
+        check_interruption()
         rig.gantry.move_to(position, _speed(rig.gantry, position, plan))
     rig.clock.sleep(procedure.settle_s)
     state = rig.gantry.state()
@@ -195,6 +195,7 @@ def capture_station(plan: Plan, rig: Rig, settled_ns: int) -> list[tuple[Capture
     out: list[tuple[Capture, Outcome]] = []
     stale = 0
     while len(out) < plan.procedure.captures_per_station:
+        check_interruption()
         capture = rig.camera.grab()
         if capture is None:
             raise CaptureError("the camera ended in the middle of a sweep", rig.camera.spec)
@@ -272,11 +273,11 @@ def closing_run(gantry: Gantry, writer: RunWriter, sink: EventSink) -> Iterator[
         writer: The run; left alone when it was closed inside the block.
         sink: Receives how to resume.
     """
-    with _termination_as_interrupt():
+    with interruptible():
         try:
             yield
         except BaseException as error:
-            with _undisturbed():
+            with undisturbed():
                 is_wanted = isinstance(error, KeyboardInterrupt)
                 reason = "stopped by the user" if is_wanted else " ".join(str(error).split()) or type(error).__name__
                 doubt = _stop(gantry)
@@ -297,44 +298,6 @@ def _stop(gantry: Gantry) -> str:
     except UvgsError as error:
         return f"the gantry did not confirm that it stopped ({error})"
     return ""
-
-
-def _is_main_thread() -> bool:
-    # Python lets only the main thread set signal handlers; elsewhere the caller keeps its own.
-    return threading.current_thread() is threading.main_thread()
-
-
-@contextmanager
-def _termination_as_interrupt() -> Iterator[None]:
-    """SIGTERM and SIGHUP end a sweep like Ctrl-C: a program that just dies leaves the carriage moving."""
-    if not _is_main_thread():
-        yield
-        return
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """A second Ctrl-C must not cut short the stopping that the first one asked for."""
-    if not _is_main_thread():
-        yield
-        return
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def mean_pose(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
