@@ -9,6 +9,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -99,6 +100,9 @@ class PoseWriter:
             self._stream.write(text)
             self._stream.flush()
         except OSError as error:
+            # Closing tries once more to write what is left, and fails the same way.
+            with suppress(OSError):
+                self._stream.close()
             raise UvgsError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 
 

@@ -140,9 +140,9 @@ def write_beacon(path: Path | str, beacon: Beacon, *, force: bool = False, comme
         if led.axis is not None:
             lines.append(f"axis = {_numbers(led.axis)}")
         if led.half_angle_rad is not None:
-            lines.append(f"half_angle_deg = {deg_from_rad(led.half_angle_rad)!r}")
+            lines.append(f"half_angle_deg = {float(deg_from_rad(led.half_angle_rad))!r}")
         if led.diameter_m is not None:
-            lines.append(f"diameter_mm = {mm_from_m(led.diameter_m)!r}")
+            lines.append(f"diameter_mm = {float(mm_from_m(led.diameter_m))!r}")
     write_atomically(Path(path), "\n".join(lines) + "\n", force=force)
 
 

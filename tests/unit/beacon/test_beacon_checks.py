@@ -41,7 +41,7 @@ def test_a_beacon_with_a_mirror_plane_is_mirrored_but_not_symmetric():
 
 
 def test_coincident_leds_are_refused_by_name():
-    with pytest.raises(ConfigError, match="l0 and l1 are 0.500 mm apart"):
+    with pytest.raises(ConfigError, match=r"l0 and l1 are 0\.500 mm apart"):
         check_beacon(make([[0, 0, 0], [0.0005, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]))
 
 

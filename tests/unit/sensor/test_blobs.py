@@ -37,7 +37,7 @@ def test_decimation_maps_centroids_back_without_shift():
     blobs = find_blobs(Capture(image, 0), config)
     order = nearest(blobs, CENTRES)
     error = blobs.centroid_px[order] - CENTRES
-    # Binary centroids of half-size blobs scatter by some tenths of a pixel; forgetting the half pixel would shift by 0.5.
+    # Binary centroids of half-size blobs scatter by some tenths of a pixel; without the half pixel all shift by 0.5.
     assert np.abs(error).max() < 0.4
     assert np.abs(error.mean(axis=0)).max() < 0.2
 

@@ -65,6 +65,6 @@ def test_p3p_finds_every_pose_that_puts_points_on_rays():
 
 def test_p3p_of_collinear_points_gives_nothing():
     points = np.array([[0.0, 0, 0], [0.05, 0, 0], [0.1, 0, 0]])
-    rays = points + [0.0, 0.1, 1.0]
+    rays = points + np.array([0.0, 0.1, 1.0])
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     assert solve_p3p(rays, points, np.empty((4, 3, 3)), np.empty((4, 3))) == 0

@@ -32,7 +32,8 @@ def test_written_and_read_again_is_the_same_to_the_last_digits(tmp_path):
     rng = np.random.default_rng(4)
     A = rng.normal(size=(12, 12)) * 1e-5
     leds = tuple(
-        Led(f'l"{i}', rng.uniform(-0.1, 0.1, 3), rng.normal(size=3), 1.1 if i else None, 0.0047) for i in range(4)
+        Led(f'l"{i}', rng.uniform(-0.1, 0.1, 3), rng.normal(size=3), np.float64(1.1) if i else None, np.float64(0.0047))
+        for i in range(4)
     )
     beacon = Beacon("mine", leds, hue=(330.0, 30.5), covariance_m2=A @ A.T)
     write_beacon(tmp_path / "out.toml", beacon)
