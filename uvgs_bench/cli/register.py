@@ -66,7 +66,6 @@ def _errors(judgement: Judgement) -> dict[str, Any]:
 
 def _print_registration(judgement: Judgement) -> None:
     from rich.markup import escape
-    from rich.table import Table
 
     from uvgs_bench.cli.console import out
     from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
@@ -74,22 +73,18 @@ def _print_registration(judgement: Judgement) -> None:
 
     registration = judgement.registration
     assert registration is not None
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("transform", "x mm", "y mm", "z mm", "yaw deg", "pitch deg", "roll deg"):
-        table.add_column(heading, justify="left" if heading == "transform" else "right", no_wrap=True)
     for pose, (turn, shift) in (
         (registration.left, registration.sigmas("left")),
         (registration.right, registration.sigmas("right")),
     ):
-        angles = [deg_from_rad(angle) for angle in euler_zyx_from_rotation(pose.R)]
-        place = [mm_from_m(float(value)) for value in pose.t_m]
-        row = [f"{v:.3f}" for v in place] + [f"{v:.4f}" for v in angles]
-        table.add_row(f"{pose.target}_from_{pose.source}", *row)
         doubts = [f"± {mm_from_m(float(s)):.3f}" if s > 1e-9 else "held" for s in shift]
+        offsets = [f"{axis} {mm_from_m(float(v)):.3f} {d}" for axis, v, d in zip("xyz", pose.t_m, doubts, strict=True)]
+        angles = zip(("yaw", "pitch", "roll"), euler_zyx_from_rotation(pose.R), strict=True)
         turns = [f"{deg_from_rad(float(s)):.4f}" for s in turn]
-        table.add_row("", *doubts, "", "", "", style="dim")
-        table.add_row("", f"[dim]turn about {pose.target} x, y, z: ± {', '.join(turns)} deg[/]")
-    out.print(table)
+        out.print(f"[bold]{pose.target}_from_{pose.source}[/]")
+        out.print(f"  offset mm  {', '.join(offsets)}")
+        out.print(f"  turn deg   {', '.join(f'{name} {deg_from_rad(angle):.4f}' for name, angle in angles)} (Z-Y-X)")
+        out.print(f"             ± {', '.join(turns)} about {pose.target} x, y, z")
     out.print(f"sees {registration.rank} of 12 directions; gauge: {escape(registration.gauge)}")
     for text in registration.blind_spots:
         out.print(f"- {escape(text)}")
