@@ -225,12 +225,11 @@ def manifest_from_tables(tables: Mapping[str, Any]) -> RunManifest:
     if tables["mount"] not in get_args(Mount):
         raise ValueError(f"mount is {tables['mount']!r}, expected one of {', '.join(get_args(Mount))}")
     try:
-        return RunManifest(
-            **{key: tables[key] for key in _PLAIN_KEYS},
-            **{key: dict(tables[key]) for key in _TABLE_KEYS},
-            axes=tuple(_axis_from_table(table) for table in tables["axes"]),
-            limits=tuple(Limit(**table) for table in tables["limits"]),
-        )
+        known: dict[str, Any] = {key: tables[key] for key in _PLAIN_KEYS}
+        known |= {key: dict(tables[key]) for key in _TABLE_KEYS}
+        known["axes"] = tuple(_axis_from_table(table) for table in tables["axes"])
+        known["limits"] = tuple(Limit(**table) for table in tables["limits"])
+        return RunManifest(**known)
     except KeyError as error:
         raise ValueError(f"axes: key {error} is missing") from None
     except TypeError as error:
