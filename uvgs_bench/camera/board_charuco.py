@@ -17,6 +17,9 @@ from uvgs_bench.geometry import FloatArray
 if TYPE_CHECKING:
     from uvgs_bench.camera.boards import Board
 
+_MIN_WINDOW_PX, _MAX_WINDOW_PX = 2, 11
+_APRON_PX = 1.7
+
 
 def points(board: Board) -> FloatArray:
     """Chessboard corners, row by row; the origin is the outer corner of the board, as in OpenCV."""
@@ -88,13 +91,20 @@ def _refined(grey: NDArray[np.uint8], board: Board, corners: FloatArray) -> Floa
 
     if len(corners) < 2:
         return corners
-    # White between a corner and the nearest marker; the filter of the gradient takes two pixels of it.
-    clear_px = 0.5 * (1.0 - board.marker_m / board.square_m) * float(nearest_distance(corners).min())
-    window = int(np.clip(int(clear_px) - 2, 2, 11))
+    # White between a corner and the nearest marker; the filter of the gradient takes almost two pixels of it. A corner
+    # whose neighbours are hidden would seem to have more room than it has.
+    spacing = nearest_distance(corners)
+    spacing = np.minimum(spacing, 1.2 * float(np.median(spacing)))
+    clear_px = 0.5 * (1.0 - board.marker_m / board.square_m) * spacing
+    windows = np.clip((clear_px - _APRON_PX).astype(int), _MIN_WINDOW_PX, _MAX_WINDOW_PX)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
-    start = corners.astype(np.float32).reshape(-1, 1, 2)
-    refined = cv2.cornerSubPix(grey, start, (window, window), (-1, -1), stop)
-    return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+    refined = corners.copy()
+    for window in np.unique(windows):
+        chosen = windows == window
+        start = corners[chosen].astype(np.float32).reshape(-1, 1, 2)
+        size = (int(window), int(window))
+        refined[chosen] = np.reshape(cv2.cornerSubPix(grey, start, size, (-1, -1), stop), (-1, 2))
+    return refined
 
 
 def _explain(grey: NDArray[np.uint8], board: Board, reason: str, detail: str) -> tuple[str, str]:

@@ -23,8 +23,10 @@ _FOLDS = 5
 _OUTLIER_SIGMAS = 4.0
 _MAX_OUTLIER_SHARE = 0.1
 _WISHED_TILT_RAD = 0.2
+# Boards in parallel planes leave focal length and distance undetermined, however many there are.
+_PARALLEL_RAD = 0.03
 # Scaled condition number above which parameters only mean something together.
-_MAX_CONDITION = 1e10
+_MAX_CONDITION = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +129,9 @@ def calibrate(
     if reject_outliers:
         bundle, keep = _without_outliers(whole, corners)
     kept = corners.kept(keep)
+    normals = bundle.R_cb[:, :, 2]
+    if float(np.linalg.norm(np.cross(normals, normals[0]), axis=1).max()) < _PARALLEL_RAD:
+        raise TooFewViews(f"all {len(views)} views show the board in the same attitude: tilt it in several directions")
     fold_rms_px, held_out_rms_px = _held_out(bundle, kept)
     covariance, condition = _covariance(bundle, kept)
     calibration = _calibration(

@@ -1,0 +1,98 @@
+"""Calibrations of simulated corners: every lens comes back, and the stated doubt is the true one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from uvgs_bench.camera import BoardView, Lens, calibrate
+from uvgs_bench.geometry.se3 import so3_exp
+
+NOISE_PX = 0.1
+TRUE = {
+    "plumb_bob": [1000.0, 1003.0, 645.0, 470.0, -0.2, 0.08, 8e-4, -5e-4, 0.01],
+    "rational_polynomial": [620.0, 622.0, 645.0, 470.0, 0.35, 0.12, 8e-4, -5e-4, 0.01, 0.75, 0.3, 0.05],
+    "thin_prism": [620.0, 622.0, 645.0, 470.0, 0.35, 0.12, 8e-4, -5e-4, 0.01, 0.75, 0.3, 0.05, 2e-3, 1e-3, -1e-3, 1e-3],
+    "equidistant": [400.0, 401.0, 645.0, 470.0, 0.03, -0.01, 0.004, -0.001],
+    "fov": [608.8073, 607.61439, 632.53684, 549.08386, 0.998693],
+}
+
+
+def board() -> np.ndarray:
+    y, x = np.mgrid[0:6, 0:9]
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(54)]) * 0.03
+
+
+def views(lens: Lens, count: int, rng: np.random.Generator, noise_px: float = NOISE_PX) -> list[BoardView]:
+    points_m = board()
+    centred = points_m - points_m.mean(axis=0)
+    found: list[BoardView] = []
+    while len(found) < count:
+        axis = rng.normal(size=3)
+        R = so3_exp(axis / np.linalg.norm(axis) * rng.uniform(0.2, 0.8))
+        direction = lens.unproject(rng.uniform([100.0, 100.0], [1180.0, 860.0]))[0]
+        seen = centred @ R.T + direction * 260.0 * rng.uniform(0.8, 1.4) / lens.fx_px
+        px = lens.project(seen)
+        if lens.contains(px, 5.0).all():
+            px = px + rng.normal(0.0, noise_px, px.shape)
+            found.append(BoardView(f"v{len(found)}", px, points_m, lens.width_px, lens.height_px))
+    return found
+
+
+@pytest.mark.parametrize("model", list(TRUE))
+def test_every_lens_is_recovered_without_a_guess(model):
+    lens = Lens(model, 1280, 960, np.array(TRUE[model]))
+    rng = np.random.default_rng(21)
+    fitted = calibrate(views(lens, 15, rng), model, reject_outliers=False).calibration
+    assert fitted.rms_px == pytest.approx(NOISE_PX * np.sqrt(2.0), rel=0.08)
+    assert fitted.covariance is not None
+    grid = np.stack(np.meshgrid(np.linspace(250, 1030, 9), np.linspace(200, 760, 7)), axis=-1).reshape(-1, 2)
+    rays = lens.unproject(grid)
+    px, _, by_lens = fitted.lens.project_with_jacobians(rays)
+    sigma_px = np.sqrt(np.einsum("nij,jk,nik->ni", by_lens, fitted.covariance, by_lens))
+    assert np.isfinite(px).all()
+    # Five standard deviations of the predicted pixel: 126 correlated values, so four are expected to be rare.
+    assert (np.abs(px - grid) < 5.0 * sigma_px).all()
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "equidistant", "fov"])
+def test_noise_free_corners_give_the_lens_back(model):
+    lens = Lens(model, 1280, 960, np.array(TRUE[model]))
+    fitted = calibrate(
+        views(lens, 10, np.random.default_rng(4), noise_px=0.0), model, reject_outliers=False
+    ).calibration
+    # Rounding of pixels (1e-13) times the condition of the problem; coefficients of high order are the weakest.
+    np.testing.assert_allclose(fitted.lens.parameters, lens.parameters, rtol=0, atol=1e-6)
+
+
+def check_coverage(model: str, count: int) -> None:
+    lens = Lens(model, 1280, 960, np.array(TRUE[model]))
+    distances, inside = [], []
+    for seed in range(count):
+        fitted = calibrate(
+            views(lens, 10, np.random.default_rng(1000 + seed)), model, reject_outliers=False
+        ).calibration
+        assert fitted.covariance is not None
+        assert fitted.sigmas is not None
+        d = fitted.lens.parameters - lens.parameters
+        distances.append(float(d @ np.linalg.solve(fitted.covariance, d)))
+        inside.append(np.abs(d) < 1.96 * fitted.sigmas)
+    size = lens.parameters.size
+    low, high = chi2.ppf([0.0005, 0.9995], size * count)
+    # The sum of squared Mahalanobis distances of honest covariances is chi-square; 99.9 % of seeds lie between.
+    assert low < sum(distances) < high
+    # 95 % intervals; parameters of one calibration are correlated, so each calibration counts as two draws.
+    share = float(np.mean(inside))
+    assert abs(share - 0.95) < 3.3 * np.sqrt(0.95 * 0.05 / (2 * count))
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "fov"])
+def test_stated_deviations_are_the_true_ones(model):
+    check_coverage(model, 15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["plumb_bob", "equidistant", "fov"])
+def test_stated_deviations_are_the_true_ones_in_long(model):
+    check_coverage(model, 300)
