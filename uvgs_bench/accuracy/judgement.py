@@ -297,6 +297,13 @@ def _registration_alerts(registration: Registration) -> list[Alert]:
     alerts = [
         Alert("note", f"registration, rank {registration.rank} of 12: {text}") for text in registration.blind_spots
     ]
+    alerts.append(
+        Alert(
+            "note",
+            "a constant error of the sensor looks like another place of camera or beacon: the registration absorbs it, "
+            "so these figures show everything but that; absolute trueness needs an independently measured link",
+        )
+    )
     if registration.outlier_count:
         alerts.append(
             Alert(

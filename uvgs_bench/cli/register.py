@@ -78,7 +78,10 @@ def _print_registration(judgement: Judgement) -> None:
         (registration.right, registration.sigmas("right")),
     ):
         doubts = [f"± {mm_from_m(float(s)):.3f}" if s > 1e-9 else "held" for s in shift]
-        offsets = [f"{axis} {mm_from_m(float(v)):.3f} {d}" for axis, v, d in zip("xyz", pose.t_m, doubts, strict=True)]
+        offsets = [
+            f"{axis} {round(mm_from_m(float(v)), 3) + 0.0:.3f} {d}"
+            for axis, v, d in zip("xyz", pose.t_m, doubts, strict=True)
+        ]
         angles = zip(("yaw", "pitch", "roll"), euler_zyx_from_rotation(pose.R), strict=True)
         turns = [f"{deg_from_rad(float(s)):.4f}" for s in turn]
         out.print(f"[bold]{pose.target}_from_{pose.source}[/]")
