@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from typing import Any
 
 from uvgs_bench import __version__
@@ -112,6 +113,11 @@ def _key_figures(judgement: Judgement) -> tuple[KeyFigure, ...]:
     return tuple(figures)
 
 
+def _in_counting_order(item: tuple[str, str]) -> list[tuple[int, str]]:
+    """$2 before $10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", item[0])]
+
+
 def _provenance(run: Run) -> tuple[tuple[str, str], ...]:
     m = run.manifest
     return (
@@ -126,5 +132,5 @@ def _provenance(run: Run) -> tuple[tuple[str, str], ...]:
         ("report made by", f"uvgs_bench {__version__}"),
         *((f"version: {name}", text) for name, text in sorted(m.versions.items())),
         *((f"SHA-256: {name}", text) for name, text in sorted(m.hashes.items())),
-        *((f"controller: {name}", text) for name, text in sorted(m.gantry_info.items())),
+        *((f"controller: {name}", text) for name, text in sorted(m.gantry_info.items(), key=_in_counting_order)),
     )
