@@ -30,6 +30,7 @@ def calibrate(
     quiet: Quiet = False,
 ) -> None:
     """Calibrate a camera from pictures of a board."""
+    from uvgs_bench.camera import LENSES
     from uvgs_bench.cli.console import emit_json, print_path, progress_sink
     from uvgs_bench.devices.cameras.registry import open_camera
     from uvgs_bench.sessions.calibrate import calibrate_from_source
@@ -38,6 +39,8 @@ def calibrate(
 
     if out.exists() and not force:
         raise ConfigError("exists already; use --force to replace it", str(out))
+    if model not in LENSES:
+        raise ConfigError(f"unknown lens model '{model}', expected one of {', '.join(LENSES)}", "--model")
     if glob:
         source += ("&" if "?" in source else "?") + f"glob={glob}"
     declared = read_board(board)
