@@ -100,10 +100,10 @@ def axis_vector(values: AxisValues, axes: Sequence[Axis], key: str, default: flo
             raise ConfigError(f"must be finite, got {value}", key=f"{key}.{name}")
     out = np.empty(len(axes))
     for i, (axis, name) in enumerate(zip(axes, names, strict=True)):
-        value = values.get(name, default)
-        if value is None:
+        given = values.get(name, default)
+        if given is None:
             raise ConfigError("this axis is required", key=f"{key}.{name}")
-        out[i] = si_from_file(axis, value)
+        out[i] = si_from_file(axis, given)
     return out
 
 
