@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.conversations.replay import is_same, read_scenes, replay
+from uvgs_bench.devices.gantry.grbl_protocol import Unknown, read_received
 from uvgs_bench.devices.sim.grbl_device import GrblDevice
 
 HERE = Path(__file__).parent
@@ -34,6 +35,18 @@ def test_recorded_conversation_with_real_grbl() -> None:
     exchanges = [exchange for scene in scenes.values() for exchange in scene]
     assert len(exchanges) == 111
     assert not replay(exchanges, fresh_device())
+
+
+@pytest.mark.shared_data
+@pytest.mark.parametrize("name", ["grbl_1.1h.txt", "grblhal_1.1f_simulator.txt"])
+def test_every_line_a_real_controller_sent_has_a_meaning(name: str) -> None:
+    path = RECORDED.parent / name
+    if not path.exists():
+        pytest.skip(f"no recording at {path}")
+    lines = [line for scene in read_scenes(path).values() for exchange in scene for line in exchange.expected if line]
+    assert len(lines) > 150
+    unknown = [line for line in lines if isinstance(read_received(line), Unknown)]
+    assert not unknown
 
 
 def test_a_wrong_answer_is_noticed() -> None:

@@ -111,6 +111,18 @@ def test_no_axis_is_told_to_be_faster_than_it_may(mock: MockGantry) -> None:
     assert mock.spy.moves()[-1].endswith("F3000.000")
 
 
+def test_a_controller_slower_than_the_bench_file_says_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """199 mm at the controller's own 300 mm/min take 40 s, not the 4 s of the bench's 3000 mm/min."""
+    device = GrblDevice.for_axes(linear_axes())
+    device.settings.update({110: 300.0, 120: 10.0})
+    mock = MockGantry(monkeypatch, device)
+    mock.gantry.home()
+    state = mock.gantry.move_to([-0.2, -0.001, -0.001], FAST)
+    np.testing.assert_allclose(state.position, [-0.2, -0.001, -0.001], atol=AT_M)
+    assert mock.spy.moves()[-1].endswith(("F300.000", "F299.999"))
+    mock.gantry.close()
+
+
 def test_jog_moves_by_an_offset(mock: MockGantry) -> None:
     mock.gantry.home()
     state = mock.gantry.jog([-0.01, 0.0, -0.02], FAST)

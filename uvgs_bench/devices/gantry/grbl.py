@@ -60,7 +60,7 @@ class GrblGantry:
         self._is_homing = False
         self._may_move = False
         self._info = ControllerInfo("", "", "", {})
-        self._settings = ControllerSettings(read_only(np.ones(len(envelope.axes))), has_homing=False)
+        self._settings = ControllerSettings(read_only(np.ones(len(envelope.axes))), False, envelope.axes)
 
     @classmethod
     def open(
@@ -206,7 +206,7 @@ class GrblGantry:
         self._envelope.check_path(start.position, target)
         if self._is_at(start.position, target):
             return start
-        plan = protocol.plan_path(self.axes, target - start.position, speed)
+        plan = protocol.plan_path(self._settings.axes, target - start.position, speed)
         style: Literal["jog", "line"] = "jog" if self._link.dialect.has_jog else "line"
         try:
             line = protocol.write_move(self.axes, target, plan.feed_per_min, style=style)

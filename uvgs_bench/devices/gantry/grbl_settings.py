@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.errors import GantryError
 from uvgs_bench.geometry import FloatArray, read_only
-from uvgs_bench.units import deg_from_rad, mm_from_m
+from uvgs_bench.units import S_PER_MIN, deg_from_rad, m_from_mm, mm_from_m, rad_from_deg
 
 _CORRUPT = 255.0
 
@@ -22,10 +22,12 @@ class ControllerSettings:
     Args:
         steps: Steps per mm or deg, shape (A,).
         has_homing: Whether the homing cycle is switched on.
+        axes: The axes, no faster than both the bench and the controller allow, with the controller's acceleration.
     """
 
     steps: FloatArray
     has_homing: bool
+    axes: tuple[Axis, ...]
 
 
 def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str) -> ControllerSettings:
@@ -68,4 +70,15 @@ def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str) 
                 f"the envelope of the bench ({wanted:g} {unit})",
                 port,
             )
-    return ControllerSettings(read_only(steps), bool(values.get(22, 0.0)))
+    paced = tuple(_paced(axis, values.get(110 + i, 0.0), values.get(120 + i, 0.0)) for i, axis in enumerate(axes))
+    return ControllerSettings(read_only(steps), bool(values.get(22, 0.0)), paced)
+
+
+def _paced(axis: Axis, speed_per_min: float, acceleration: float) -> Axis:
+    convert = m_from_mm if axis.kind == "linear" else rad_from_deg
+    speed = convert(speed_per_min / S_PER_MIN)
+    return replace(
+        axis,
+        max_speed=min(axis.max_speed, speed) if speed > 0.0 else axis.max_speed,
+        acceleration=convert(acceleration) if acceleration > 0.0 else axis.acceleration,
+    )
