@@ -8,7 +8,8 @@ from typing import Any
 
 from uvgs_bench import __version__
 from uvgs_bench.accuracy.judgement import Judgement, LimitVerdict
-from uvgs_bench.report.document import Alert, Document, Interval, KeyFigure, Number, Section
+from uvgs_bench.report.cells import Interval, Number
+from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
 from uvgs_bench.report.quantities import SCALES, decimals_of
 from uvgs_bench.report.sections import SECTIONS
 from uvgs_bench.store.run import Run

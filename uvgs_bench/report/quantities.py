@@ -9,7 +9,7 @@ import numpy as np
 
 from uvgs_bench.accuracy.statistics import Estimate
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.report.document import Interval, Measured, Number, decimals_for
+from uvgs_bench.report.cells import Interval, Measured, Number, decimals_for
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
 COMPONENT_WORDS = {

@@ -22,7 +22,8 @@ from uvgs_bench.accuracy.pose_error import error_table
 from uvgs_bench.accuracy.registration import fit_registration
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.report import build, build_document
-from uvgs_bench.report.document import Document, Figure, Number, Paragraph, Section, Table
+from uvgs_bench.report.cells import Number
+from uvgs_bench.report.document import Document, Figure, Paragraph, Section, Table
 from uvgs_bench.report.pictures import overlay_png, read_picture
 from uvgs_bench.report.quantities import station_means
 from uvgs_bench.report.sections import SECTIONS, distribution, errors, limits, misses, registration, worst

@@ -5,24 +5,19 @@ import math
 
 import pytest
 
+from uvgs_bench.report.cells import Interval, Mark, Measured, Number, decimals_for, shown_number
 from uvgs_bench.report.document import (
     Column,
     Document,
     Figure,
     Gallery,
-    Interval,
     KeyFigure,
-    Mark,
-    Measured,
-    Number,
     Paragraph,
     Picture,
     Section,
     Series,
     Table,
-    decimals_for,
     document_data,
-    shown_number,
 )
 from uvgs_bench.report.json_export import render_json
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.statistics import AccuracySummary, ComponentStatistics, Estimate
-from uvgs_bench.report.document import Block, Cell, Column, Number, Paragraph, Section, Table
+from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.document import Block, Column, Paragraph, Section, Table
 from uvgs_bench.report.quantities import (
     COMPONENT_WORDS,
     SCALES,

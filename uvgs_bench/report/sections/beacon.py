@@ -6,7 +6,8 @@ import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.beacon.geometry import Beacon
-from uvgs_bench.report.document import Cell, Column, Figure, Number, Section, Table
+from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.document import Column, Figure, Section, Table
 from uvgs_bench.report.figures import canvas, style, svg_of
 from uvgs_bench.report.palette import INK, SERIES
 from uvgs_bench.store.run import Run

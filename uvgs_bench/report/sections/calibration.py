@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from uvgs_bench.accuracy.judgement import Judgement
-from uvgs_bench.report.document import Alert, Alerts, Block, Cell, Column, Number, Section, Table, decimals_for
+from uvgs_bench.report.cells import Cell, Number, decimals_for
+from uvgs_bench.report.document import Alert, Alerts, Block, Column, Section, Table
 from uvgs_bench.store.run import Run
 
 

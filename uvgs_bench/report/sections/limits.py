@@ -5,21 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.accuracy.judgement import QUANTITIES, Judgement, LimitVerdict
-from uvgs_bench.report.document import (
-    Alert,
-    Alerts,
-    Block,
-    Cell,
-    Column,
-    Interval,
-    Level,
-    Mark,
-    Number,
-    Paragraph,
-    Section,
-    Table,
-    decimals_for,
-)
+from uvgs_bench.report.cells import Cell, Interval, Mark, Number, decimals_for
+from uvgs_bench.report.document import Alert, Alerts, Block, Column, Level, Paragraph, Section, Table
 from uvgs_bench.report.quantities import COMPONENT_WORDS, STATISTIC_WORDS, unit_word
 from uvgs_bench.store.run import Run
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
-from uvgs_bench.report.document import Block, Cell, Column, Gallery, Number, Paragraph, Picture, Section, Table
+from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.document import Block, Column, Gallery, Paragraph, Picture, Section, Table
 from uvgs_bench.report.pictures import overlay_png, read_picture
 from uvgs_bench.sensor.outcome import Miss
 from uvgs_bench.store.run import Run, Sample

@@ -6,7 +6,8 @@ from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.registration import Registration
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
-from uvgs_bench.report.document import Alert, Alerts, Block, Cell, Column, Number, Paragraph, Section, Table
+from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.document import Alert, Alerts, Block, Column, Paragraph, Section, Table
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m
 

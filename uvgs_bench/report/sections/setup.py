@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.devices.gantry.axes import Axis
-from uvgs_bench.report.document import Cell, Column, Number, Section, Table
+from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.document import Column, Section, Table
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, s_from_ns
 
