@@ -94,7 +94,7 @@ def _wahba(there: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray 
 def _robust_mean(rotations: FloatArray) -> FloatArray:
     """Chordal mean by least absolute deviations."""
     weights = np.ones(len(rotations))
-    R = rotations[0]
+    R: FloatArray = rotations[0]
     for _ in range(_ROBUST_PASSES):
         R = nearest_rotation(np.einsum("n,nij->ij", weights, rotations))
         weights = _absolute_weights(np.linalg.norm(rotation_logs(rotations @ R.T), axis=1))
