@@ -16,6 +16,7 @@ NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 NS_PER_US = 1_000
 S_PER_MIN = 60.0
+MM_PER_INCH = 25.4
 
 
 def m_from_mm(value_mm: Number) -> Number:
@@ -91,14 +92,6 @@ def s_from_ms(value_ms: Number) -> Number:
 def us_from_s(value_s: float) -> float:
     """Microseconds from seconds."""
     return value_s * MM_PER_M * MM_PER_M
-
-
-MM_PER_INCH = 25.4
-
-
-def mm_from_inch(value_inch: Number) -> Number:
-    """Millimetres from inches."""
-    return value_inch * MM_PER_INCH
 
 
 def radps_from_deg_min(value_deg_min: Number) -> Number:
