@@ -42,8 +42,9 @@ def _polynomial(k: FloatArray, X: float, Y: float) -> tuple[float, float, float,
     s = X * X + Y * Y
     N = 1.0 + s * (k[4] + s * (k[5] + s * k[8]))
     D = 1.0 + s * (k[9] + s * (k[10] + s * k[11]))
-    q = N / D
-    q_s = (k[4] + s * (2.0 * k[5] + s * 3.0 * k[8]) - q * (k[9] + s * (2.0 * k[10] + s * 3.0 * k[11]))) / D
+    per_D = 1.0 / D
+    q = N * per_D
+    q_s = (k[4] + s * (2.0 * k[5] + s * 3.0 * k[8]) - q * (k[9] + s * (2.0 * k[10] + s * 3.0 * k[11]))) * per_D
     p1, p2 = k[6], k[7]
     a = X * q + 2.0 * p1 * X * Y + p2 * (s + 2.0 * X * X) + s * (k[12] + k[13] * s)
     b = Y * q + p1 * (s + 2.0 * Y * Y) + 2.0 * p2 * X * Y + s * (k[14] + k[15] * s)
@@ -131,21 +132,25 @@ def project_point_with_jacobian(
     if model_id <= THIN_PRISM:
         if not z > 0.0:
             return outside
-        X = x / z
-        Y = y / z
-        if hypot(X, Y) >= k[LIMIT]:
+        per_z = 1.0 / z
+        X = x * per_z
+        Y = y * per_z
+        squared = X * X + Y * Y
+        if squared >= k[LIMIT] * k[LIMIT]:
             return outside
         a, b, a_X, a_Y, b_X, b_Y = _polynomial(k, X, Y)
+        fx_z = fx * per_z
+        fy_z = fy * per_z
         return (
             k[2] + fx * a,
             k[3] + fy * b,
             True,
-            fx * a_X / z,
-            fx * a_Y / z,
-            -fx * (a_X * X + a_Y * Y) / z,
-            fy * b_X / z,
-            fy * b_Y / z,
-            -fy * (b_X * X + b_Y * Y) / z,
+            fx_z * a_X,
+            fx_z * a_Y,
+            -fx_z * (a_X * X + a_Y * Y),
+            fy_z * b_X,
+            fy_z * b_Y,
+            -fy_z * (b_X * X + b_Y * Y),
         )
     m, h, m_z, is_valid = _radial(model_id, k, hypot(x, y), z)
     if not is_valid:
@@ -286,12 +291,11 @@ def _inverse_polynomial_start(k: FloatArray, radius: float) -> float:
 
 
 @compiled
-def _inverse_polynomial(k: FloatArray, a: float, b: float) -> tuple[float, float, bool]:
-    """Undistorted normalised coordinates by damped Newton on the exact Jacobian."""
+def _newton_polynomial(
+    k: FloatArray, a: float, b: float, X: float, Y: float, most_halvings: int
+) -> tuple[float, float, float]:
+    """Undistorted normalised coordinates by damped Newton from X, Y on the exact Jacobian, and what is left, px."""
     fx, fy = k[0], k[1]
-    radius = hypot(a, b)
-    scale = _inverse_polynomial_start(k, radius) / radius if radius > 0.0 else 0.0
-    X, Y = a * scale, b * scale
     a_now, b_now, a_X, a_Y, b_X, b_Y = _polynomial(k, X, Y)
     error = hypot(fx * (a - a_now), fy * (b - b_now))
     for _ in range(50):
@@ -303,7 +307,7 @@ def _inverse_polynomial(k: FloatArray, a: float, b: float) -> tuple[float, float
         step_Y = (a_X * db - b_X * da) / det
         factor = 1.0
         has_improved = False
-        for _ in range(20):
+        for _ in range(most_halvings):
             X_new, Y_new = X + factor * step_X, Y + factor * step_Y
             a_new, b_new, n1, n2, n3, n4 = _polynomial(k, X_new, Y_new)
             new = hypot(fx * (a - a_new), fy * (b - b_new))
@@ -314,6 +318,17 @@ def _inverse_polynomial(k: FloatArray, a: float, b: float) -> tuple[float, float
             factor *= 0.5
         if not has_improved:
             break
+    return X, Y, error
+
+
+@compiled
+def _inverse_polynomial(k: FloatArray, a: float, b: float) -> tuple[float, float, bool]:
+    """Undistorted normalised coordinates: Newton from the distorted ones, else from a bracketed radius."""
+    X, Y, error = _newton_polynomial(k, a, b, a, b, 1)
+    if not (error <= _INVERSE_TOLERANCE_PX and hypot(X, Y) < k[LIMIT]):
+        radius = hypot(a, b)
+        scale = _inverse_polynomial_start(k, radius) / radius if radius > 0.0 else 0.0
+        X, Y, error = _newton_polynomial(k, a, b, a * scale, b * scale, 20)
     return X, Y, error <= _INVERSE_TOLERANCE_PX and hypot(X, Y) < k[LIMIT]
 
 

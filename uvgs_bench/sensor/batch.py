@@ -24,6 +24,8 @@ from uvgs_bench.sensor.solvers.uvgs_lm import refine_pose
 _MAX_ITERATIONS = 40
 # A fit worse than this per degree of freedom (chance 2e-6 with two) is not trusted to be the best one.
 _PLAUSIBLE_CHI2_PER_DOF = 13.0
+# A second start is dropped when it still costs this many times a plausible fit.
+_HOPELESS = 100.0
 # Triangles tried at most; four LEDs have four.
 _TRIANGLES = 4
 
@@ -56,7 +58,8 @@ def widest_triangles(px: FloatArray, order: NDArray[np.int64]) -> int:
                     continue
                 for s in range(min(count, limit - 1), slot, -1):
                     areas[s] = areas[s - 1]
-                    order[s] = order[s - 1]
+                    for c in range(3):
+                        order[s, c] = order[s - 1, c]
                 areas[slot] = area
                 order[slot, 0], order[slot, 1], order[slot, 2] = i, j, k
                 count = min(count + 1, limit)
@@ -96,6 +99,10 @@ def solve_named(
     corners = np.empty((3, 3))
     Rs = np.empty((4, 3, 3))
     ts = np.empty((4, 3))
+    costs = np.empty(4)
+    H = np.empty((6, 6))
+    g = np.empty(6)
+    residual = np.empty((n, 2))
     best = np.inf
     best_steps = 0
     has_converged = False
@@ -104,18 +111,35 @@ def solve_named(
         for c in range(3):
             i = order[k, c]
             rays[c, 0], rays[c, 1], rays[c, 2], is_valid = unproject_point(model_id, lens, px[i, 0], px[i, 1])
-            corners[c] = points[i]
+            for j in range(3):
+                corners[c, j] = points[i, j]
             is_seen = is_seen and is_valid
         if not is_seen:
             continue
-        for root in range(solve_p3p(rays, corners, Rs, ts)):
+        count = solve_p3p(rays, corners, Rs, ts)
+        for root in range(count):
+            costs[root] = normal_equations(
+                model_id, lens, points, px, sigma, Rs[root], ts[root], ts[root], H, g, residual
+            )
+        for _ in range(count):
+            root = 0
+            for other in range(1, count):
+                if costs[other] < costs[root]:
+                    root = other
+            if costs[root] == np.inf:
+                break
+            costs[root] = np.inf
+            # Beside a plausible fit, a start that costs far more after three steps cannot win.
+            give_up = _HOPELESS * plausible if best <= plausible else np.inf
             chi2, steps, converged = refine_pose(
-                model_id, lens, points, px, sigma, Rs[root], ts[root], max_iterations, np.inf
+                model_id, lens, points, px, sigma, Rs[root], ts[root], max_iterations, give_up
             )
             if chi2 < best:
                 best, best_steps, has_converged = chi2, steps, converged
-                R[:] = Rs[root]
-                t[:] = ts[root]
+                for i in range(3):
+                    t[i] = ts[root, i]
+                    for j in range(3):
+                        R[i, j] = Rs[root, i, j]
         if best <= plausible and has_converged:
             break
     return best, best_steps, has_converged
@@ -142,9 +166,7 @@ def _solve_many(
                 model_id, lens, points, px[i], sigma[i], R[i], t[i], max_iterations, np.inf
             )
         else:
-            chi2[i], _, converged[i] = solve_named(
-                model_id, lens, points, px[i], sigma[i], max_iterations, R[i], t[i]
-            )
+            chi2[i], _, converged[i] = solve_named(model_id, lens, points, px[i], sigma[i], max_iterations, R[i], t[i])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,13 +286,13 @@ def pick_root(
     residual = np.empty((points.shape[0], 2))
     best = np.inf
     for root in range(solve_p3p(rays, points[:3], Rs, ts)):
-        cost = normal_equations(
-            model_id, lens, points, px, sigma, Rs[root], ts[root], ts[root], H, g, residual
-        )
+        cost = normal_equations(model_id, lens, points, px, sigma, Rs[root], ts[root], ts[root], H, g, residual)
         if cost < best:
             best = cost
-            R[:] = Rs[root]
-            t[:] = ts[root]
+            for i in range(3):
+                t[i] = ts[root, i]
+                for j in range(3):
+                    R[i, j] = Rs[root, i, j]
     return best < np.inf
 
 

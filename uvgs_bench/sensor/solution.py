@@ -25,6 +25,11 @@ SOLVERS: dict[str, str] = {
     "opencv_iterative": "uvgs_bench.sensor.solvers.opencv_pnp:solve_iterative",
     "opencv_sqpnp": "uvgs_bench.sensor.solvers.opencv_pnp:solve_sqpnp",
     "opencv_epnp": "uvgs_bench.sensor.solvers.opencv_pnp:solve_epnp",
+    "svgs_numeric": "uvgs_bench.sensor.solvers.svgs_numeric:solve",
+    "lambda_twist": "uvgs_bench.sensor.batch:solve_lambda_twist",
+    "p4pf": "uvgs_bench.sensor.solvers.p4pf:solve",
+    "opencv_ap3p": "uvgs_bench.sensor.solvers.opencv_p3p:solve_ap3p",
+    "opencv_p3p": "uvgs_bench.sensor.solvers.opencv_p3p:solve_p3p",
 }
 
 

@@ -16,8 +16,11 @@ from uvgs_bench.sensor.solution import Solution
 
 # Turn (rad), and shift relative to the range: truncation 1e-10 and rounding 1e-11 of the derivative meet here.
 _DIFFERENCE = 1e-5
-_STEP = 1e-11
-_COST = 1e-13
+# What is left to the minimum may be this at most: turn (rad) plus shift relative to the range.
+_REMAINDER = 1e-11
+# Rounding moves the cost by less than this, relative and absolute.
+_ROUNDING = 1e-12
+_ROUNDING_CHI2 = 1e-18
 
 
 @compiled
@@ -118,6 +121,7 @@ def refine_numerically(
     if cost == np.inf:
         return np.inf, 0, False
     damping = 1e-6
+    last = np.inf
     is_stale = True
     for iteration in range(max_iterations):
         if is_stale:
@@ -139,24 +143,27 @@ def refine_numerically(
             if damping > 1e10:
                 return cost, iteration + 1, False
             continue
-        turn = abs(step[0]) + abs(step[1]) + abs(step[2])
-        shift = (abs(step[3]) + abs(step[4]) + abs(step[5])) / (abs(t[0]) + abs(t[1]) + abs(t[2]))
+        size = abs(step[0]) + abs(step[1]) + abs(step[2])
+        size += (abs(step[3]) + abs(step[4]) + abs(step[5])) / (abs(t[0]) + abs(t[1]) + abs(t[2]))
         turn_and_shift(R, t, step, R_new, t_new)
         new_cost = _residuals(model_id, lens, points, px, sigma, R_new, t_new, e_new)
-        if new_cost <= cost * (1.0 + 1e-15):
-            drop = cost - new_cost
-            R[:] = R_new
-            t[:] = t_new
-            e[:] = e_new
+        if new_cost <= cost + _ROUNDING * cost + _ROUNDING_CHI2:
+            for i in range(3):
+                t[i] = t_new[i]
+                for j in range(3):
+                    R[i, j] = R_new[i, j]
+            e, e_new = e_new, e
             cost = new_cost
             is_stale = True
             damping = max(damping * 0.1, 1e-12)
-            if turn + shift < _STEP or (drop <= _COST * cost and turn + shift < 1e-7):
+            if size < _REMAINDER or (size < 1e-6 and last < 1.0 and size * size < _REMAINDER * (last - size)):
                 return cost, iteration + 1, True
+            last = size
         else:
-            if turn + shift < 1e-9:
+            if size < 1e-9:
                 return cost, iteration + 1, True
             damping = max(damping * 10.0, 1e-4)
+            last = np.inf
             if damping > 1e10:
                 return cost, iteration + 1, False
     return cost, max_iterations, False
