@@ -12,6 +12,9 @@ Json = Annotated[
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output files.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything random.")]
+IntervalSeed = Annotated[
+    int | None, typer.Option("--seed", min=0, help="Seed of the intervals.  [default: that of the run]")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
 BenchFile = Annotated[Path, typer.Option("--bench", help="Bench file: camera, beacon, gantry and mount.")]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from uvgs_bench.cli.options import Force, Json, Seed
+from uvgs_bench.cli.options import Force, IntervalSeed, Json
 from uvgs_bench.errors import RegistrationError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ def register(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
     out_file: Annotated[Path | None, typer.Option("--out", help="Write the registration as TOML.")] = None,
     force: Force = False,
-    seed: Seed = 0,
+    seed: IntervalSeed = None,
     as_json: Json = False,
 ) -> None:
     """Register camera, gantry and beacon of a run; say what is seen, what is not, and what errors remain."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uvgs_bench.cli.options import Force, Json, Seed
+from uvgs_bench.cli.options import Force, IntervalSeed, Json
 from uvgs_bench.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def report(
         Path | None, typer.Option("--out", help="Folder for the files; the run's own by default.", show_default=False)
     ] = None,
     force: Force = False,
-    seed: Seed = 0,
+    seed: IntervalSeed = None,
     as_json: Json = False,
 ) -> None:
     """Judge a run and write its report; exit 0 limits met, 1 limits missed, 3 inconclusive."""

@@ -160,7 +160,7 @@ def demonstrate(
     set_up = read_setup(procedure, examples / BENCH, camera=calibration_file, seed=seed)
     swept = sweep(set_up, folder, simulated_speed=simulated_speed, sink=sink)
     run = read_run(swept.path)
-    return DemoResult(run, judge_run(run, seed=seed), calibration_file, compare_with_truth(run, bench))
+    return DemoResult(run, judge_run(run), calibration_file, compare_with_truth(run, bench))
 
 
 def _scattered(tables: dict[str, object], count: int) -> str:

@@ -15,18 +15,21 @@ if TYPE_CHECKING:
     from uvgs_bench.store.run_types import Run
 
 
-def judge_run(run: Run, *, seed: int = 0) -> Judgement:
+def judge_run(run: Run, *, seed: int | None = None) -> Judgement:
     """Register the frames of a run, compute its errors and hold them against the limits it was taken for.
 
     Args:
         run: A run, finished or not; one that did not end well is judged on what it has, with an alert.
-        seed: Seed of the intervals; the same run and seed give the same judgement.
+        seed: Seed of the intervals; the run's own when None. The same run and seed give the same judgement.
 
     Returns:
         The judgement.
     """
     judgement = judge(
-        observations_from_run(run), run.manifest.limits, np.random.default_rng(seed), run_completed=run.is_complete
+        observations_from_run(run),
+        run.manifest.limits,
+        np.random.default_rng(run.manifest.seed if seed is None else seed),
+        run_completed=run.is_complete,
     )
     remarks = [Alert("warning", remark) for remark in run.remarks]
     if run.ended != "completed":
