@@ -54,7 +54,7 @@ def moments_once(place: float, d: int) -> Callable[[np.random.Generator], dict[s
 def test_moment_intervals_cover(place: float, d: int) -> None:
     # 95 % of 150 samples, three standard deviations of the count (1.8 %), 1 % for 20 places being few.
     for name, fraction in coverage(150, 1, moments_once(place, d)).items():
-        assert fraction >= 0.895, name
+        assert fraction >= 0.885, name
 
 
 @pytest.mark.slow
