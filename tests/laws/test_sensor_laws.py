@@ -66,7 +66,7 @@ def test_right_labels_or_a_refusal_never_a_wrong_pose(seed):
         # 0.02 px at up to 1.5 m moves the attitude by up to some 5 mrad.
         assert got.start.is_close(pose, 0.05, 0.05)
     else:
-        assert got.reason == "ambiguous"
+        assert got.reason in ("ambiguous", "chance_fit")
 
 
 @settings(max_examples=40, deadline=None)

@@ -137,3 +137,35 @@ def test_an_led_that_shines_away_is_not_used_to_explain_a_blob():
     got = Uvgs(spots.calibration(), narrow).solve(Capture(image, 0))
     assert isinstance(got, Miss)
     assert got.stage in ("correspondence", "validate")
+
+
+@pytest.mark.shared_data
+@pytest.mark.opencv
+def test_pictures_of_another_device_with_many_leds_never_give_a_pose(pytestconfig):
+    from uvgs_bench.camera.calibration import Calibration
+    from uvgs_bench.devices.cameras.images import read_image
+
+    files = sorted((pytestconfig.rootpath.parent / "shared/data/leds_hdk").glob("*.tif"))
+    if not files:
+        pytest.skip("../shared/data/leds_hdk is not here")
+    beacon = read_beacon(pytestconfig.rootpath / "calib/beacons/tetra_small.toml")
+    lens = Lens("plumb_bob", 640, 480, np.array([576.0, 576.0, 319.5, 239.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    # Two dozen LEDs: the search is allowed to try them all, and must not believe what fits by chance.
+    for max_blobs in (16, 40):
+        uvgs = Uvgs(Calibration(lens), beacon, UvgsConfig(max_blobs=max_blobs))
+        for file in files:
+            assert isinstance(uvgs.solve(Capture(read_image(file), 0, file.name)), Miss)
+
+
+def test_lights_strewn_about_seldom_pass_for_a_beacon(pytestconfig):
+    rng = np.random.default_rng(12)
+    beacon = read_beacon(pytestconfig.rootpath / "calib/beacons/tetra_small.toml")
+    lens = spots.lens()
+    config = UvgsConfig()
+    table = LedTable.of(beacon, config)
+    published = 0
+    for _ in range(300):
+        px = rng.uniform([100, 100], [1180, 860], (6, 2))
+        published += isinstance(match_leds(px, np.full(6, 0.15), lens, table, config), LedMatch)
+    # Four LEDs leave two redundant numbers; what fits them by chance within 14 units of cost cannot be told apart.
+    assert published <= 6

@@ -31,6 +31,7 @@ class UvgsConfig:
         gain_e_per_dn: Electrons per grey step of an 8-bit picture, for the shot noise of the centroid deviations.
         correspondence: ``scored`` (all labelings) or ``paper`` (section 2.4).
         min_margin: Below this ratio of the costs of runner-up and best the answer is ``ambiguous``.
+        max_chance_fits: Refuse a fit when more than this many as good are expected from lights strewn at random.
         model_error_px: What lens and beacon files may be wrong by, px; used to judge fits, not in the covariance.
         max_chi2_per_dof: Largest chi-square per degree of freedom of an accepted fit.
         max_rms_px: Largest root mean square residual of an accepted fit, px per axis.
@@ -62,8 +63,9 @@ class UvgsConfig:
     gain_e_per_dn: float = 40.0
     correspondence: Literal["scored", "paper"] = "scored"
     min_margin: float = 6.0
+    max_chance_fits: float = 0.25
     model_error_px: float = 0.15
-    max_chi2_per_dof: float = 10.0
+    max_chi2_per_dof: float = 7.0
     max_rms_px: float = 2.0
     emission_slack_deg: float = 5.0
     solver: str = "uvgs_lm"
@@ -85,6 +87,7 @@ class UvgsConfig:
             "threshold_floor",
             "min_contrast",
             "min_circularity",
+            "max_chance_fits",
             "model_error_px",
             "min_separation_px",
             "emission_slack_deg",

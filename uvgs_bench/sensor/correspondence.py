@@ -19,7 +19,7 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import rotation_angle
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.correspondence_kernels import KEPT, search_labelings
+from uvgs_bench.sensor.correspondence_kernels import HOPELESS_COST, KEPT, search_labelings
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.units import rad_from_deg
 
@@ -126,33 +126,63 @@ def match_leds(
         prior: The last pose; it may decide between two poses that fit, never against the better fit alone.
 
     Returns:
-        The match, or why there is none: ``degenerate``, ``no_labeling``, ``ambiguous``.
+        The match, or why there is none: ``degenerate``, ``no_labeling``, ``chance_fit``,
+        ``ambiguous``.
     """
     if config.correspondence == "paper":
         return _sort_as_paper(centroid_px, sigma_px, lens, leds, config)
-    candidates = _search(centroid_px, sigma_px, lens, leds, config)
+    candidates, passed = _search(centroid_px, sigma_px, lens, leds, config)
     if not candidates:
         return NoMatch("no_labeling", f"no labeling of {len(centroid_px)} blobs fits the beacon")
+    cost, dof = candidates[0][:2]
+    chance = chance_fits(cost, dof, passed)
+    if chance > config.max_chance_fits:
+        return NoMatch(
+            "chance_fit",
+            f"cost {cost:.1f} among {passed} labelings of {len(centroid_px)} blobs: {chance:.2f} such fits are "
+            f"expected by chance, at most {config.max_chance_fits:.2f}",
+        )
     return _decide(candidates, config, prior)
 
 
 _Candidate = tuple[float, int, Pose, NDArray[np.int64]]
 
 
+def chance_fits(cost: float, dof: int, passed: int) -> float:
+    """How many labelings would fit this well if all lights were strewn at random.
+
+    Of the labelings that come within ``HOPELESS_COST`` per redundant LED, errors fill that ball evenly, so the share
+    within a smaller cost is the ratio of the volumes.
+
+    Args:
+        cost: Cost of the fit.
+        dof: Its degrees of freedom, two for each redundant LED.
+        passed: How many labelings came within the larger cost.
+
+    Returns:
+        Their expected number.
+    """
+    redundant = dof / 2
+    return float(passed * ((cost + 1.0) / (HOPELESS_COST * redundant)) ** redundant)
+
+
 def _search(
     px: FloatArray, sigma: FloatArray, lens: Lens, leds: LedTable, config: UvgsConfig, everything: bool = False
-) -> list[_Candidate]:
-    """Refined labelings as (cost, dof, pose, assignment), best first: up to the first truly different one, or all."""
+) -> tuple[list[_Candidate], int]:
+    """Refined labelings as (cost, dof, pose, assignment), best first: up to the first truly different one, or all.
+
+    With them the number of labelings that were worth refining.
+    """
     rays = lens.unproject(px)
     seen = np.flatnonzero(np.isfinite(rays[:, 0]))
     if len(seen) < 4:
-        return []
+        return [], 0
     costs, chi2s = np.empty(KEPT), np.empty(KEPT)
     Rs, ts = np.empty((KEPT, 3, 3)), np.empty((KEPT, 3))
     n = len(leds.positions_m)
     assignments = np.empty((KEPT, n), dtype=np.int64)
     reach = max(lens.fx_px, lens.fy_px) * leds.longest_m / config.min_range_m
-    count = search_labelings(
+    count, passed = search_labelings(
         lens.model_id, lens.kernel_parameters, rays[seen], px[seen], sigma[seen], leds.positions_m, leds.axes,
         leds.cos_limit, leds.cos_loose, leds.triples, reach, config.min_range_m, config.max_range_m,
         costs, chi2s, Rs, ts, assignments,
@@ -165,7 +195,7 @@ def _search(
         out.append((float(costs[i]), dof, Pose(Rs[i], ts[i], "camera", "beacon"), assignment))
         if not everything and len(out) > 1 and _is_different(out[0][2], out[-1][2]):
             break
-    return out
+    return out, passed
 
 
 def _is_different(a: Pose, b: Pose) -> bool:
@@ -214,7 +244,7 @@ def _sort_as_paper(
         return NoMatch("degenerate", "three of the four points are nearly on a line, or two coincide")
     assignment = np.empty(4, dtype=np.int64)
     assignment[led_order] = blob_order
-    candidates = [c for c in _search(px, sigma, lens, leds, config, everything=True) if (c[3] == assignment).all()]
+    candidates = [c for c in _search(px, sigma, lens, leds, config, everything=True)[0] if (c[3] == assignment).all()]
     if not candidates:
         return NoMatch("no_labeling", "the sorted labeling fits no pose in front of the camera")
     return LedMatch(assignment, candidates[0][2], inf, None)

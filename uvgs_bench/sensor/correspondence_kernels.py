@@ -18,7 +18,7 @@ KEPT = 64
 # A visible LED that no blob stands for costs as much as a residual of five deviations.
 _MISSING_COST = 25.0
 # One step from the P3P pose: beyond this no refinement brings a labeling back (12 px at 0.25 px deviation).
-_HOPELESS_COST = 2500.0
+HOPELESS_COST = 2500.0
 _REFINE_STEPS = 15
 
 
@@ -106,7 +106,7 @@ def search_labelings(
     Rs: FloatArray,
     ts: FloatArray,
     assignments: NDArray[np.int64],
-) -> int:
+) -> tuple[int, int]:
     """Score labelings: every ordered triple of blobs against the given LED triples.
 
     Args:
@@ -130,12 +130,13 @@ def search_labelings(
         assignments: Output, blob of each LED or -1, shape (KEPT, n).
 
     Returns:
-        Number of labelings that survived, in no order.
+        Number of labelings that survived, in no order, and how many came within ``HOPELESS_COST`` at all.
     """
     m = px.shape[0]
     n = leds.shape[0]
     found = 0
     worst = 0
+    passed = 0
     p3p_R = np.empty((4, 3, 3))
     p3p_t = np.empty((4, 3))
     three_rays = np.empty((3, 3))
@@ -204,8 +205,9 @@ def search_labelings(
                             model_id, lens, args_leds, args_px, args_sigma, R_new, t_new, t_new, H, g, residual
                         )
                         cost = min(cost, new_cost)
-                        if cost > _HOPELESS_COST * (count - 3):
+                        if cost > HOPELESS_COST * (count - 3):
                             continue
+                        passed += 1
                         rank = cost / (count - 3) - 1e3 * count
                         if found < KEPT:
                             slot = found
@@ -255,4 +257,4 @@ def search_labelings(
         ts[kept] = t
         assignments[kept] = assignments[i]
         kept += 1
-    return kept
+    return kept, passed

@@ -13,6 +13,9 @@ from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.correspondence import LedTable
 from uvgs_bench.sensor.solution import Solution
 
+# Below this the inverse keeps no digit: far beyond any real view of four LEDs.
+_LEAST_EIGENVALUE = 1e-13
+
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
@@ -87,6 +90,8 @@ def check_solution(
             f"chi-square {chi2:.1f} for {dof} degrees of freedom ({rms_px:.2f} px rms), "
             f"at most {config.max_chi2_per_dof * dof:.1f}",
         )
-    if not np.linalg.cond(solution.information) < 1e16:
+    # Scaled to a unit diagonal, so that radians and metres do not count.
+    scale = np.sqrt(np.diag(solution.information))
+    if not float(np.linalg.eigvalsh(solution.information / np.outer(scale, scale))[0]) > _LEAST_EIGENVALUE:
         return Refusal("degenerate", "the LEDs seen do not determine the pose")
     return None
