@@ -86,9 +86,9 @@ def _is_irregular(grid: FloatArray) -> bool:
 
 
 def _alternates(grey: NDArray[np.uint8], grid: FloatArray) -> bool:
-    """Whether neighbouring cells between the corners alternate; a grid that takes every second corner does not."""
+    """Whether neighbouring cells between the corners alternate; a grid that takes every second or third does not."""
     steps: list[FloatArray] = []
-    for a in (0.25, 0.75):
+    for a in (0.25, 0.5, 0.75):
         place = (1 - a) * ((1 - a) * grid[:-1, :-1] + a * grid[:-1, 1:]) + a * (
             (1 - a) * grid[1:, :-1] + a * grid[1:, 1:]
         )

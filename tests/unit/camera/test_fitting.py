@@ -134,6 +134,19 @@ def test_right_photographs_give_the_measured_figures():
 
 @pytest.mark.opencv
 @pytest.mark.shared_data
+def test_coarse_grid_over_a_finer_board_is_never_believed():
+    if not PHOTOGRAPHS.is_dir():
+        pytest.skip(f"no photographs at {PHOTOGRAPHS}")
+    import cv2
+
+    wrong = replace(CHESS, columns=6, rows=4)
+    answers = [find_board(cv2.imread(str(path), 0), wrong) for path in PHOTOGRAPHS.glob("*t*.jpg")]
+    assert len(answers) == 26
+    assert not any(isinstance(answer, BoardView) for answer in answers)
+
+
+@pytest.mark.opencv
+@pytest.mark.shared_data
 @pytest.mark.parametrize(("columns", "rows"), [(8, 5), (8, 6), (9, 5), (10, 7)])
 def test_wrong_board_size_is_noticed_on_photographs(columns, rows):
     if not PHOTOGRAPHS.is_dir():
