@@ -109,3 +109,21 @@ def test_each_mistake_is_one_line_with_its_exit_code(bench, tmp_path, capfd):
         said = capfd.readouterr().err
         assert text in said
         assert "Traceback" not in said
+
+
+def test_a_runs_kept_pictures_solve_to_the_same_poses_again(tmp_path, pytestconfig, monkeypatch, capfd):
+    from uvgs_bench.store.run import read_run
+
+    monkeypatch.chdir(pytestconfig.rootpath)
+    with pytest.raises(SystemExit) as caught:
+        main(["gantry-sweep", "procedures/quick_line.toml", "--out", str(tmp_path / "runs"), "--sim-speed", "100"])
+    assert not caught.value.code
+    folder = next((tmp_path / "runs").iterdir())
+    assert uvgs(folder, "--out", tmp_path / "again.csv", "--quiet") == 0
+    again = {record.source: record.pose for record in read_poses(tmp_path / "again.csv")}
+    samples = [sample for sample in read_run(folder).samples if sample.is_solved]
+    assert len(samples) >= 10
+    for sample in samples:
+        # The file keeps a quaternion, the journal a matrix: they differ by rounding only.
+        assert again[sample.capture_file].is_close(sample.outcome.camera_from_beacon, 1e-13, 0.0)
+    capfd.readouterr()
