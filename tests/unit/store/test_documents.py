@@ -31,7 +31,7 @@ class Cart:
 GOOD = 'schema = 1\nname = "c"\n[[wheels]]\nradius_mm = 3.5\n'
 
 
-@pytest.fixture()
+@pytest.fixture
 def write(tmp_path):
     def _write(text: str):
         path = tmp_path / "cart.toml"
