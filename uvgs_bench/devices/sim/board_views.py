@@ -126,7 +126,8 @@ class SimulatedBoardSource(ClosingSource):
 def ray_slopes(lens: Lens) -> FloatArray:
     """x/z and y/z of every pixel centre, shape (H, W, 2); NaN where the lens has no ray ahead.
 
-    A lens bends slowly: where every ray exists, a cubic spline through every eighth pixel is exact to 1e-4 px (wide lenses) or far better.
+    A lens bends slowly: where every ray exists, a cubic spline through every eighth pixel is exact to 1e-4 px (wide
+    lenses) or far better.
     """
     from scipy.interpolate import RectBivariateSpline
 
