@@ -90,7 +90,7 @@ def planar_poses(lens: Lens, corners: Corners) -> Bundle:
         The lens with the poses.
 
     Raises:
-        CalibrationError: A view has too few forward rays.
+        CalibrationError: The forward rays of a view are too few or see one line of the board.
     """
     rays = lens.unproject(corners.px)
     forward = rays[:, 2] > 0.1
@@ -99,6 +99,10 @@ def planar_poses(lens: Lens, corners: Corners) -> Bundle:
         chosen = (corners.view == i) & forward
         if int(chosen.sum()) < 4:
             raise CalibrationError("too few corners in front of the lens")
+        spread = np.linalg.svd(corners.points_m[chosen] - corners.points_m[chosen].mean(axis=0), compute_uv=False)
+        if spread[1] < 0.02 * spread[0]:
+            # Under a focal length far too short only one line of corners may lie ahead; that fixes no plane.
+            raise CalibrationError("the corners in front of the lens lie on one line")
         R[i], t[i] = _planar_pose(corners.points_m[chosen, :2], rays[chosen, :2] / rays[chosen, 2:])
     return Bundle(lens, R, t)
 

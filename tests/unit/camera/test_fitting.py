@@ -10,11 +10,21 @@ import pytest
 
 from uvgs_bench.camera import BoardView, CalibrationResult, Lens, calibrate, find_board
 from uvgs_bench.camera.boards import Board
+from uvgs_bench.camera.bundle import Corners
+from uvgs_bench.camera.bundle_start import planar_poses
 from uvgs_bench.errors import CalibrationError, ExitCode, TooFewViews
 from uvgs_bench.geometry.se3 import so3_exp
 
 PHOTOGRAPHS = Path(__file__).parents[4] / "shared" / "data" / "chessboard_opencv"
 CHESS = Board("chess", "chessboard", 9, 6, 0.025)
+# Six corners of one column near the middle, all others where a lens of f = 100 px, w = 0.9 sees nothing.
+LINE_AHEAD = np.array(
+    [
+        [640.0 + 5.0 * row, 400.0 + 30.0 * row] if column == 0 else [1200.0, 900.0]
+        for row in range(6)
+        for column in range(9)
+    ]
+)
 TRUE = Lens("plumb_bob", 1280, 960, np.array([1000.0, 1003.0, 645.0, 470.0, -0.2, 0.08, 8e-4, -5e-4, 0.01]))
 
 
@@ -247,3 +257,9 @@ def test_three_views_have_no_held_out_error():
     result = calibrate(simulated(3, 0.1), "fov")
     assert result.calibration.held_out_rms_px is None
     assert result.fold_rms_px.size == 0
+
+
+def test_start_with_one_line_of_corners_ahead_is_passed_over():
+    corners = Corners.of([replace(simulated(1, 0.0)[0], board_m=CHESS.points_m, px=LINE_AHEAD)])
+    with pytest.raises(CalibrationError, match="one line"):
+        planar_poses(Lens("fov", 1280, 960, np.array([100.0, 100.0, 640.0, 480.0, 0.9])), corners)
