@@ -17,6 +17,9 @@ import typer
 from uvgs_bench import __version__
 from uvgs_bench.errors import ExitCode, UvgsError
 
+# What shells show for a program that a closed pipe ended.
+_SIGPIPE_CODE = 141
+
 COMMANDS: dict[str, str] = {
     "demo": "uvgs_bench.cli.demo:demo",
     "init": "uvgs_bench.cli.init:init",
@@ -78,25 +81,61 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: Always, with the exit code.
     """
-    code: object = 0
-    try:
-        code = build_app()(args=list(arguments) if arguments is not None else None, standalone_mode=False)
-    except UvgsError as error:
-        from uvgs_bench.cli.console import print_error
+    raise SystemExit(_exit_code(list(sys.argv[1:] if arguments is None else arguments)))
 
-        print_error(str(error))
-        code = int(error.exit_code)
+
+def _exit_code(arguments: list[str]) -> int:
+    # Not through typer's own main: it turns signals and broken pipes into codes of its own before they can be said.
+    try:
+        command = typer.main.get_command(build_app())
+        with command.make_context("uvgs", arguments) as context:
+            command.invoke(context)
+        sys.stdout.flush()
+    except typer.Exit as leaving:
+        return _flushed(leaving.exit_code)
+    except UvgsError as error:
+        return _said(str(error), int(error.exit_code))
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("interrupted\n")
-        code = int(ExitCode.INTERRUPTED)
-    except BrokenPipeError:
-        # The reader of a pipe has gone; nothing more can be said, and the interpreter must not try at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
+        return int(ExitCode.INTERRUPTED)
+    except (BrokenPipeError, SystemExit):
+        # SystemExit is how rich, printing a help page, reports a broken pipe; nothing else here raises it.
+        return _unheard()
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _said(f"{where}{error.strerror or error}", int(ExitCode.INPUT))
     except Exception as error:
         show = getattr(error, "show", None)
         if show is None:
             raise
         show()
-        code = getattr(error, "exit_code", int(ExitCode.USAGE))
-    raise SystemExit(code if isinstance(code, int) else 0)
+        return int(getattr(error, "exit_code", ExitCode.USAGE))
+    return int(ExitCode.DONE)
+
+
+def _flushed(code: int) -> int:
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return _unheard()
+    except OSError as error:
+        return _said(f"standard output: {error.strerror or error}", int(ExitCode.INPUT))
+    return code
+
+
+def _said(text: str, code: int) -> int:
+    from uvgs_bench.cli.console import print_error
+
+    print_error(text)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _unheard()
+    return code
+
+
+def _unheard() -> int:
+    """The reader of a pipe has gone: say nothing more, and do not pretend that the result arrived."""
+    # The interpreter must not try to write at exit what could not be written now.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return _SIGPIPE_CODE

@@ -14,8 +14,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 
 from uvgs_bench.sessions.events import Event, EventSink, Remark, StageAdvanced, StageFinished, StageStarted
 
+
+class _PipedConsole(Console):
+    """A console whose broken pipe is an exception: rich would leave with 1, which means limits missed."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 console = Console(stderr=True, highlight=False)
-out = Console(highlight=False)
+out = _PipedConsole(highlight=False)
 
 _VERDICT_STYLE = {"pass": "bold green", "fail": "bold red", "inconclusive": "bold yellow"}
 
