@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite, nan
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from uvgs_bench.geometry.arrays import FloatArray, read_only
 from uvgs_bench.geometry.se3 import (
     nearest_rotation,
     quaternion_from_rotation,
+    rotation_defect,
     rotation_from_quaternion,
     se3_adjoint,
     se3_exp,
@@ -45,16 +47,18 @@ class Pose:
         for frame in (self.target, self.source):
             if frame not in FRAMES:
                 raise FrameMismatch(f"unknown frame '{frame}', expected one of {', '.join(FRAMES)}")
-        R = np.array(self.R, dtype=np.float64)
+        R = np.array(self.R, dtype=np.float64, order="C")
         t_m = read_only(self.t_m, (3,))
-        if R.shape != (3, 3) or not (np.isfinite(R).all() and np.isfinite(t_m).all()):
+        x, y, z = t_m
+        drift, det = rotation_defect(R) if R.shape == (3, 3) else (nan, nan)
+        if not (isfinite(drift) and isfinite(x) and isfinite(y) and isfinite(z)):
             raise ValueError("a pose needs a finite 3x3 rotation and a finite translation")
-        drift = float(np.abs(R @ R.T - np.eye(3)).max())
-        if drift > 1e-6 or np.linalg.det(R) < 0.0:
-            raise ValueError(f"not a rotation: |R R^T - 1| = {drift:.1e}, det = {np.linalg.det(R):.3f}")
+        if drift > 1e-6 or det < 0.0:
+            raise ValueError(f"not a rotation: |R R^T - 1| = {drift:.1e}, det = {det:.3f}")
         if drift > 1e-14:
             R = nearest_rotation(R)
-        object.__setattr__(self, "R", read_only(R, (3, 3)))
+        R.flags.writeable = False
+        object.__setattr__(self, "R", R)
         object.__setattr__(self, "t_m", t_m)
 
     @classmethod

@@ -132,6 +132,33 @@ def rotation_from_quaternion(q: FloatArray) -> FloatArray:
 
 
 @compiled
+def rotation_defect(R: FloatArray) -> tuple[float, float]:
+    """How far a matrix is from a rotation.
+
+    Args:
+        R: Matrix, shape (3, 3).
+
+    Returns:
+        Largest element of ``|R R^T - 1|``, NaN when an element of R is not finite; determinant of R.
+    """
+    worst = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            product = R[i, 0] * R[j, 0] + R[i, 1] * R[j, 1] + R[i, 2] * R[j, 2]
+            worst = max(worst, abs(product - (1.0 if i == j else 0.0)))
+    c0 = R[1, 1] * R[2, 2] - R[1, 2] * R[2, 1]
+    c1 = R[1, 2] * R[2, 0] - R[1, 0] * R[2, 2]
+    c2 = R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0]
+    det = R[0, 0] * c0 + R[0, 1] * c1 + R[0, 2] * c2
+    # 0 x is 0, or NaN when x is not finite; a maximum alone would pass over a NaN.
+    spoilt = 0.0
+    for i in range(3):
+        for j in range(3):
+            spoilt += 0.0 * R[i, j]
+    return worst + spoilt, det
+
+
+@compiled
 def so3_log(R: FloatArray) -> FloatArray:
     """Rotation vector of a rotation, angle in [0, pi]; by quaternion, so that no digits are lost near 0 or pi.
 
