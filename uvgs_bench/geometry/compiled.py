@@ -13,10 +13,16 @@ Kernel = TypeVar("Kernel", bound=Callable[..., object])
 def compiled(function: Kernel) -> Kernel:
     """Compile a kernel with numba: cached on disk, without the interpreter lock, IEEE arithmetic kept.
 
+    Where neither the package nor the user's cache folder can be written it is compiled anew in each process.
+
     Args:
         function: A function on floats, integers and float64 arrays only.
 
     Returns:
         The compiled function with the same signature.
     """
-    return cast(Kernel, numba.njit(cache=True, nogil=True)(function))
+    try:
+        return cast(Kernel, numba.njit(cache=True, nogil=True)(function))
+    except RuntimeError:
+        # Numba finds no place for its cache, as in a container without a home.
+        return cast(Kernel, numba.njit(nogil=True)(function))

@@ -58,8 +58,8 @@ def examine() -> list[Finding]:
             "python", "uvgs-bench", "ok", f"{__version__} on Python {platform.python_version()}, {platform.machine()}"
         ),
         *_packages(),
-        *_opencv(),
         *_compiled_code(),
+        *_opencv(),
         *_gantry_ports(),
         *_cameras(),
         *_fonts(),
@@ -85,7 +85,6 @@ def _opencv() -> list[Finding]:
         import cv2
     except ImportError as error:
         return [Finding("opencv", "cv2", "broken", f"cannot be imported: {error}")]
-    build = cv2.getBuildInformation()
     backends = {cv2.videoio_registry.getBackendName(backend) for backend in cv2.videoio_registry.getBackends()}
     charuco = hasattr(cv2, "aruco") and hasattr(cv2.aruco, "CharucoDetector")
     fisheye = hasattr(cv2, "fisheye")
@@ -99,7 +98,6 @@ def _opencv() -> list[Finding]:
         ),
         _has("opencv", "FFMPEG", "FFMPEG" in backends, "video files can be read", "video files cannot be read"),
         _has("opencv", "V4L2", "V4L2" in backends, "USB cameras can be opened", "USB cameras cannot be opened"),
-        Finding("opencv", "window", "ok", "none needed" if "GUI:" in build else "unknown"),
     ]
 
 
@@ -108,13 +106,21 @@ def _has(area: str, item: str, present: bool, good: str, bad: str) -> Finding:
 
 
 def _compiled_code() -> list[Finding]:
-    folder = Path(__file__).resolve().parent.parent
-    cache = os.environ.get("NUMBA_CACHE_DIR", "")
-    writable = os.access(cache or folder, os.W_OK)
-    text = (
-        f"kept in {cache}" if cache else ("kept beside the package" if writable else "kept in the user's cache folder")
-    )
-    return [Finding("python", "compiled code", "ok", text)]
+    try:
+        from uvgs_bench.geometry import se3
+    except ImportError as error:
+        return [Finding("python", "compiled code", "broken", str(error))]
+    path = getattr(getattr(se3.hat, "stats", None), "cache_path", None)
+    if not path:
+        return [
+            Finding(
+                "python",
+                "compiled code",
+                "missing",
+                "no folder to keep it in, so every command compiles for a minute: set NUMBA_CACHE_DIR",
+            )
+        ]
+    return [Finding("python", "compiled code", "ok", f"kept in {path}")]
 
 
 def _gantry_ports() -> list[Finding]:
@@ -125,7 +131,9 @@ def _gantry_ports() -> list[Finding]:
     findings = []
     for port in sorted(list_ports.comports(), key=lambda p: str(p.device)):
         usable = os.access(port.device, os.R_OK | os.W_OK)
-        text = f"{port.description}" if usable else "no permission: add yourself to the group 'dialout'"
+        known = f" ({port.description})" if port.description not in (None, "", "n/a") else ""
+        remedy = "no permission: add yourself to the group 'dialout'"
+        text = f"can be opened as grbl:{port.device}{known}" if usable else remedy
         findings.append(Finding("gantry", str(port.device), "ok" if usable else "missing", text))
     if not findings:
         findings.append(
@@ -179,5 +187,6 @@ def _disk() -> Finding:
     temporary = os.access(tempfile.gettempdir(), os.W_OK)
     if not temporary:
         return Finding("disk", tempfile.gettempdir(), "broken", "the temporary folder cannot be written")
-    text = f"{free / 1024**3:.1f} GiB free here"
-    return Finding("disk", str(Path.cwd()), "ok" if free > _LOW_DISK_BYTES else "missing", text)
+    text, is_low = f"{free / 1024**3:.1f} GiB free here", free < _LOW_DISK_BYTES
+    remedy = ": little for kept pictures; sweep with --keep worst or none" if is_low else ""
+    return Finding("disk", str(Path.cwd()), "missing" if is_low else "ok", text + remedy)

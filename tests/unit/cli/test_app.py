@@ -79,7 +79,7 @@ def test_init_makes_a_workspace_that_is_not_overwritten(tmp_path):
 
 
 def test_doctor_speaks_json_and_narrow_terminals():
-    findings = json.loads(run("doctor", "--json").stdout)
+    findings = json.loads(run("doctor", "--json").stdout)["findings"]
     assert {"area", "item", "state", "text"} == set(findings[0])
     assert any(f["item"] == "numpy" and f["state"] == "ok" for f in findings)
     narrow = run("doctor", columns=50)
