@@ -11,7 +11,17 @@ from uvgs_bench.sensor.solvers.lambda_twist import solve_p3p
 
 # How near noise-free truth each must come: iterative ones to rounding, OpenCV by its stopping rules; EPnP is only an
 # approximation for four points.
-TOLERANCE = {"uvgs_lm": 1e-9, "opencv_iterative": 1e-4, "opencv_sqpnp": 1e-5, "opencv_epnp": 0.2}
+TOLERANCE = {
+    "uvgs_lm": 1e-9,
+    "svgs_numeric": 1e-9,
+    "lambda_twist": 1e-8,
+    "p4pf": 1e-7,
+    "opencv_ap3p": 1e-5,
+    "opencv_p3p": 1e-5,
+    "opencv_iterative": 1e-4,
+    "opencv_sqpnp": 1e-5,
+    "opencv_epnp": 0.2,
+}
 
 
 @pytest.mark.opencv
