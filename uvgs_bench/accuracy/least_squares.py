@@ -22,7 +22,8 @@ from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import FloatArray, Pose
 
 _MOST_ITERATIONS = 100
-_SCALE_ITERATIONS = 6
+_SCALE_ITERATIONS = 20
+_SCALE_SETTLED = 1e-10
 # Steps of rounding size, in rad and working distances.
 _LEAST_STEP = 1e-12
 # Roots of the chi-squared distribution with 6 degrees of freedom at 95 % and at 50 %.
@@ -63,12 +64,15 @@ class Alignment:
         """
         damping = 0.0
         scale = 0.0
+        is_settled = False
         for iteration in range(1, _MOST_ITERATIONS + 1):
             residual, J = self.linearised(left, right)
             distance = np.linalg.norm(residual, axis=1)
             # Weights and scale that chase each other need not settle: the scale stops following after a while.
-            if iteration <= _SCALE_ITERATIONS:
-                scale = usual_distance(distance, self.shares)
+            if not is_settled:
+                followed = usual_distance(distance, self.shares)
+                is_settled = abs(followed - scale) <= _SCALE_SETTLED * scale or iteration >= _SCALE_ITERATIONS
+                scale = followed
             weights = np.minimum(1.0, _HUBER * scale / np.maximum(distance, 1e-300))
             w = self.shares * weights
             H = np.einsum("n,nki,nkj->ij", w, J, J, optimize=True)
@@ -87,7 +91,7 @@ class Alignment:
             left, right = trial
             damping = damping / 8.0 if damping > 1e-6 else 0.0
             is_still = gain <= 1e-14 * scale**2 or float(np.abs(step / parted.scale).max()) < _LEAST_STEP
-            if iteration > _SCALE_ITERATIONS and is_still:
+            if is_settled and is_still:
                 return left, right, weights, iteration
         raise RegistrationError(f"the registration did not converge in {_MOST_ITERATIONS} iterations")
 
