@@ -156,6 +156,8 @@ def make_entrants(lens: Lens, beacon: Beacon, side_m: float) -> tuple[Entrant, .
         name = f"cv2.aruco {label}"
         entrants.append(Entrant(name, family, False, tag_method(lens, tag, aruco_corners(family, TAG_NUMBER))))
     tag = Tag(APRILTAG_FAMILY, TAG_NUMBER, side_m)
+    refined = tag_method(lens, tag, aruco_corners(APRILTAG_FAMILY, TAG_NUMBER, "APRILTAG"))
+    entrants.append(Entrant("cv2.aruco 36h11, refine APRILTAG", APRILTAG_FAMILY, False, refined))
     for decimate in (1.0, 2.0):
         finder = apriltag_corners(TAG_NUMBER, decimate)
         method = None if finder is None else tag_method(lens, tag, finder)
@@ -220,13 +222,14 @@ def protocol(
         f"quiet zone of {QUIET_MODULES} module all around; the beacon is deep, the tag is flat.",
         f"Unless varied: 1 m, 20 deg, 4 ms, white paper {BASE_PAPER_DN:g} DN above black at 4 ms, point spread "
         f"0.9 px, at rest. Ink gives {100 * BLACK_SHARE:g} %, the wall behind {100 * WALL_SHARE:g} % of the paper. "
-        "Over range the exposure follows the LEDs: 4 ms x (range / 1 m)^2, within 1 and 16 ms.",
+        "Over range the exposure follows the LEDs: 4 ms up to 1 m, then x (range / 1 m)^2 up to 16 ms.",
         f"Active against passive: LEDs keep their own light ({camera.peak_dn_at_1m:g} DN at 1 m and "
         f"{camera.peak_exposure_ms:g} ms), the tag has only the condition's ambient light; one exposure for both.",
-        "Every method gets the true lens and true sizes, and raw pictures. Tags: corners through the lens, then "
-        "solvePnP IPPE_SQUARE, better-fitting of its two poses. cv2.aruco: default parameters, CORNER_REFINE_SUBPIX. "
-        "AprilTag 3 (pupil-apriltags): its own pose knows no distortion, so its corners (minus the half pixel of its "
-        "pixel convention) take the same way. uVGS: default parameters, no prior.",
+        "Every method gets the true lens and true sizes, and raw pictures as they are. Tags: corners through the lens, "
+        "then solvePnP IPPE_SQUARE, better-fitting of its two poses. cv2.aruco: default parameters, corners refined by "
+        "CORNER_REFINE_SUBPIX or, where said, CORNER_REFINE_APRILTAG. AprilTag 3 (pupil-apriltags, quad_decimate 1 "
+        "or, as shipped, 2): its own pose knows no distortion, so its corners take the same way. The half pixel of "
+        "AprilTag's pixel convention is taken off in both. uVGS: default parameters, no prior.",
         f"False: a pose off by more than {100 * SANE_POSITION_SHARE:g} % of the range or "
         f"{deg_from_rad(SANE_ATTITUDE_RAD):g} deg; errors are over the other poses (origin of the LED frame, "
         "middle of the tag). Error ratios: over the pictures where both have such a pose. Only the wanted tag number "

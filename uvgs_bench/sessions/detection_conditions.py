@@ -47,14 +47,15 @@ class Condition:
 def default_conditions(*, quick: bool = False) -> tuple[Condition, ...]:
     """The printed conditions: one thing varied at a time around 1 m, 20 deg, 4 ms, paper 40 DN, sharp and at rest.
 
-    Over range, the exposure follows the LEDs: 4 ms times the square of the range in m, within 1 and 16 ms.
+    Over range, the exposure follows the LEDs: 4 ms where they are discs in the picture (up to 1 m), then growing with
+    the square of the range, up to 16 ms.
 
     Args:
         quick: One condition of each group only.
     """
     conditions = [
         Condition(
-            "range", f"{range_m:g} m", range_m=range_m, exposure_s=s_from_ms(min(16.0, max(1.0, 4.0 * range_m**2)))
+            "range", f"{range_m:g} m", range_m=range_m, exposure_s=s_from_ms(min(16.0, 4.0 * max(1.0, range_m**2)))
         )
         for range_m in (0.5, 1.0, 2.0, 3.0, 4.0)
     ]
@@ -64,6 +65,7 @@ def default_conditions(*, quick: bool = False) -> tuple[Condition, ...]:
     ]
     conditions += [Condition("ambient", f"paper {dn:g} DN", paper_dn=dn) for dn in (5.0, 15.0, 100.0, 200.0)]
     conditions += [Condition("exposure", f"{ms:g} ms", exposure_s=s_from_ms(ms)) for ms in (0.5, 1.0, 16.0)]
+    conditions += [Condition("exposure", "1 ms at 0.5 m", range_m=0.5, exposure_s=s_from_ms(1.0))]
     conditions += [Condition("motion", f"{px:g} px", motion_px=px) for px in (3.0, 8.0, 15.0)]
     conditions += [Condition("defocus", f"sigma {px:g} px", psf_sigma_px=px) for px in (2.0, 4.0)]
     if not quick:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from time import perf_counter, process_time
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,7 +28,7 @@ APRILTAG_FAMILY = "DICT_APRILTAG_36h11"
 
 # OpenCV's square has y up and z towards the reader, the tag frame here y down and z away.
 _TURNED = np.diag([1.0, -1.0, -1.0])
-# The library counts (0, 0) as the corner of the first pixel, not its centre.
+# The library, and OpenCV's copy of its quad finder, take (0, 0) as the corner of the first pixel, not its centre.
 _APRILTAG_CORNER_PX = 0.5
 
 
@@ -52,6 +52,7 @@ class Attempt:
 
 
 Method = Callable[[ImageArray], Attempt]
+Refinement = Literal["SUBPIX", "APRILTAG"]
 CornerFinder = Callable[[ImageArray], FloatArray | None]
 
 
@@ -130,12 +131,14 @@ def pose_of_square(lens: Lens, side_m: float, corners_px: FloatArray) -> Pose | 
     return Pose(so3_exp(np.ravel(rotation).astype(np.float64)) @ _TURNED, np.ravel(translation), "camera", "board")
 
 
-def aruco_corners(dictionary: str, number: int) -> CornerFinder:
-    """OpenCV's ArucoDetector with default parameters and corners refined by ``CORNER_REFINE_SUBPIX``.
+def aruco_corners(dictionary: str, number: int, refinement: Refinement = "SUBPIX") -> CornerFinder:
+    """OpenCV's ArucoDetector with default parameters and refined corners.
 
     Args:
         dictionary: Family, as OpenCV names it.
         number: The wanted tag.
+        refinement: ``SUBPIX`` (the usual choice) or ``APRILTAG`` (slower, far more accurate), as in
+            ``CORNER_REFINE_...``.
 
     Returns:
         The finder.
@@ -143,7 +146,8 @@ def aruco_corners(dictionary: str, number: int) -> CornerFinder:
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    parameters.cornerRefinementMethod = getattr(cv2.aruco, f"CORNER_REFINE_{refinement}")
+    shift_px = _APRILTAG_CORNER_PX if refinement == "APRILTAG" else 0.0
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     detector = cv2.aruco.ArucoDetector(family, parameters)
 
@@ -152,7 +156,7 @@ def aruco_corners(dictionary: str, number: int) -> CornerFinder:
         if numbers is None or number not in numbers:
             return None
         place = np.ravel(numbers).tolist().index(number)
-        return np.asarray(corners[place], dtype=np.float64).reshape(4, 2)
+        return np.asarray(corners[place], dtype=np.float64).reshape(4, 2) - shift_px
 
     return find
 
