@@ -152,4 +152,4 @@ def test_speed_study_times_every_door_and_peer():
     # Each timed action takes one tick of the clock, shared by the poses that have a P3P start.
     assert speed.batch_refine_us == speed.batch_full_us == speed.peers_us["EPNP"]
     assert 1e6 / 30 <= speed.batch_refine_us <= 1e6 / 25
-    assert speed.least_peer_ratio == 1.0
+    assert speed.least_peer_ratio == speed.jacobian_ratio == 1.0

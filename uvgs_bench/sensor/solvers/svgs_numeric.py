@@ -169,6 +169,16 @@ def refine_numerically(
     return cost, max_iterations, False
 
 
+@compiled
+def refine_many_numerically(
+    model_id: int, lens: FloatArray, points: FloatArray, px: FloatArray, sigma: FloatArray, R: FloatArray,
+    t: FloatArray, max_iterations: int,
+) -> None:  # fmt: skip
+    """Refine many: px (N, n, 2), R (N, 3, 3) and t (N, 3), in place; the loop the baseline is timed in."""
+    for i in range(px.shape[0]):
+        refine_numerically(model_id, lens, points, px[i], sigma, R[i], t[i], max_iterations)
+
+
 def solve(
     lens: Lens, points_m: FloatArray, px: FloatArray, sigma_px: FloatArray, start: Pose, max_iterations: int
 ) -> Solution:
