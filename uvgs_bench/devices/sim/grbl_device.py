@@ -19,16 +19,14 @@ from uvgs_bench.devices.gantry.axes import Axis, AxisKind
 from uvgs_bench.devices.sim.grbl_gcode import OVERLONG, LineReader, Modal, Refused, read_line
 from uvgs_bench.devices.sim.grbl_homing import Homing, SwitchNotFound, homing_senses
 from uvgs_bench.devices.sim.grbl_planner import PLANNER_BLOCKS, Planner
-from uvgs_bench.devices.sim.grbl_reports import Reporter
-from uvgs_bench.devices.sim.grbl_settings import changed, factory_settings, printed, settings_for_axes
-from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.devices.sim.grbl_reports import Reporter, answers
+from uvgs_bench.devices.sim.grbl_settings import changed, factory_settings, settings_for_axes, si_positions
+from uvgs_bench.geometry import FloatArray
 from uvgs_bench.units import (
     S_PER_MIN,
     deg_from_rad,
-    m_from_mm,
     mm_from_m,
     ns_from_s,
-    rad_from_deg,
     s_from_ns,
 )
 
@@ -128,11 +126,11 @@ class GrblDevice:
         Returns:
             Motor positions, shape (A,), m or rad.
         """
-        return self._to_si(self._planner.motors.position(self._advance(s_from_ns(t_ns))))
+        return si_positions(self.kinds, self._planner.motors.position(self._advance(s_from_ns(t_ns))))
 
     def velocity_at(self, t_ns: int) -> FloatArray:
         """How fast the motors turn at an instant, shape (A,), m/s or rad/s."""
-        return self._to_si(self._planner.motors.velocity(self._advance(s_from_ns(t_ns))))
+        return si_positions(self.kinds, self._planner.motors.velocity(self._advance(s_from_ns(t_ns))))
 
     def last_direction(self, t_ns: int) -> FloatArray:
         """The sense in which each axis moves, or moved last before an instant: +1, -1, or 0 for never; shape (A,)."""
@@ -360,25 +358,12 @@ class GrblDevice:
         self._send("ok")
 
     def _answer_query(self, text: str) -> None:
-        zero = ",".join("0.000" for _ in self.letters)
-        if text == "$":
-            for number in sorted(self.settings):
-                self._send(printed(number, self.settings[number]))
-        elif text == "I":
-            self._send(f"[VER:{self._version}:]")
-            self._send(f"[OPT:V,{PLANNER_BLOCKS},{RX_BYTES}]")
-        elif text == "N":
-            self._send("$N0=")
-            self._send("$N1=")
-        elif text == "#":
-            for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92"):
-                self._send(f"[{name}:{zero}]")
-            self._send("[TLO:0.000]")
-            self._send(f"[PRB:{zero}:0]")
-        elif "=" in text:
+        if "=" in text:
             self._planner.settings = changed(self.settings, text)
-        else:
-            raise Refused(3)
+            return
+        options = f"V,{PLANNER_BLOCKS},{RX_BYTES}"
+        for line in answers(text, self.settings, len(self.letters), self._version, options):
+            self._send(line)
 
     def _toggle_check(self) -> None:
         if self.state == "Check":
@@ -463,11 +448,3 @@ class GrblDevice:
         data = line.encode("ascii") + b"\r\n"
         self._wire_free_s = max(self._wire_free_s, self._planner.now_s) + len(data) * _BYTE_S
         self._output.append((self._wire_free_s, data))
-
-    def _to_si(self, values: FloatArray) -> FloatArray:
-        return read_only(
-            [
-                m_from_mm(float(value)) if kind == "linear" else rad_from_deg(float(value))
-                for value, kind in zip(values, self.kinds, strict=True)
-            ]
-        )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from uvgs_bench.devices.sim.grbl_gcode import Modal
+from uvgs_bench.devices.sim.grbl_gcode import Modal, Refused
+from uvgs_bench.devices.sim.grbl_settings import printed
 from uvgs_bench.geometry import FloatArray
 
 _WCO_EVERY = {False: 10, True: 30}
@@ -68,3 +69,32 @@ class Reporter:
             if accessories:
                 fields.append(f"A:{accessories}")
         return "<" + "|".join(fields) + ">"
+
+
+def answers(query: str, settings: dict[int, float], axis_count: int, version: str, options: str) -> list[str]:
+    """What a dollar query prints before its ``ok``.
+
+    Args:
+        query: The text after the dollar sign: ``$``, ``I``, ``N`` or ``#``.
+        settings: Numbered settings.
+        axis_count: Number of axes.
+        version: Firmware version.
+        options: Build options, planner blocks and receive bytes.
+
+    Returns:
+        The lines.
+
+    Raises:
+        Refused: No such query.
+    """
+    zero = ",".join(["0.000"] * axis_count)
+    stored = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
+    if query == "$":
+        return [printed(number, settings[number]) for number in sorted(settings)]
+    if query == "I":
+        return [f"[VER:{version}:]", f"[OPT:{options}]"]
+    if query == "N":
+        return ["$N0=", "$N1="]
+    if query == "#":
+        return [*(f"[{name}:{zero}]" for name in stored), "[TLO:0.000]", f"[PRB:{zero}:0]"]
+    raise Refused(3)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from uvgs_bench.devices.gantry.axes import Axis
+from uvgs_bench.devices.gantry.axes import Axis, AxisKind
 from uvgs_bench.devices.sim.grbl_gcode import Refused
-from uvgs_bench.units import S_PER_MIN, deg_from_rad, mm_from_m
+from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.units import S_PER_MIN, deg_from_rad, m_from_mm, mm_from_m, rad_from_deg
 
 _FACTORY: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.010, 12: 0.002, 13: 0, 20: 0, 21: 0, 22: 0, 23: 0,
@@ -105,3 +106,13 @@ def changed(settings: Mapping[int, float], text: str) -> dict[int, float]:
     if number == 22 and not value:
         after[20] = 0.0
     return after
+
+
+def si_positions(kinds: Sequence[AxisKind], values: FloatArray) -> FloatArray:
+    """Axis values in m or rad from the controller's mm or deg, shape (A,)."""
+    return read_only(
+        [
+            m_from_mm(float(value)) if kind == "linear" else rad_from_deg(float(value))
+            for value, kind in zip(values, kinds, strict=True)
+        ]
+    )
