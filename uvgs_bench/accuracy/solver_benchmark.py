@@ -28,7 +28,7 @@ DEFINITIONS = (
     f"failure: no pose, or more than {FAILURE_DEG:g} deg off; counted apart, not averaged",
     "opencv_epnp on four points is often wrong even without noise (its null space has four dimensions); opencv_sqpnp "
     "is the strong rival",
-    "time: one call per pose through the public door, one core; the refining solvers start from the best P3P root",
+    "time: processor time of one call per pose, public door; the refining solvers start from the best P3P root",
 )
 # What answers the least squares question; these are refined from a P3P start.
 _FROM_START = ("svgs_numeric", "opencv_iterative")

@@ -29,7 +29,7 @@ def solvers(
 ) -> None:
     """Compare pose solvers on drawn poses with known truth: errors, failures, time, and the Cramér-Rao bound."""
     from dataclasses import asdict, replace
-    from time import perf_counter
+    from time import process_time
 
     import numpy as np
 
@@ -49,9 +49,9 @@ def solvers(
         if not quiet:
             console.print(f"[dim]{name}[/]")
 
-    rows = compare_solvers(problems, perf_counter, report=say)
+    rows = compare_solvers(problems, process_time, report=say)
     bound = study_bound(problems)
-    speed = study_speed(problems.first(_TIMED), perf_counter)
+    speed = study_speed(problems.first(_TIMED), process_time)
     lines = (*chosen.lines(), f"{poses} poses, seed {seed}", *DEFINITIONS)
     if as_json:
         emit_json({
