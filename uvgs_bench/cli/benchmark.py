@@ -7,9 +7,13 @@ from typing import Annotated
 
 import typer
 
+from uvgs_bench.cli.benchmark_detection import detection
+from uvgs_bench.cli.benchmark_solvers import solvers
 from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Json, Quiet, Seed
 
-app = typer.Typer(help="Measure the sensor: speed now, next to a peer on the same pictures.", no_args_is_help=True)
+app = typer.Typer(help="Measure the sensor next to its peers: speed, solvers, detection.", no_args_is_help=True)
+app.command("solvers")(solvers)
+app.command("detection")(detection)
 
 
 @app.callback()
