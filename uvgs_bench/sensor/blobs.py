@@ -8,6 +8,7 @@ from math import pi
 import numpy as np
 
 from uvgs_bench.geometry import FloatArray
+from uvgs_bench.sensor import centroid_kernels as ck
 from uvgs_bench.sensor import detection_kernels as dk
 from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.config import UvgsConfig
@@ -91,20 +92,17 @@ class NoBlobs:
     detail: str
 
 
-def full_scale_dn(image: ImageArray) -> float:
+def full_scale_dn(image: ImageArray, brightest_dn: float | None = None) -> float:
     """Largest value a pixel can have, DN: of the type, or of 10, 12 or 14 bits when a 16-bit picture stays below."""
     if image.dtype == np.uint8:
         return 255.0
-    brightest = int(image.max())
+    brightest = int(image.max()) if brightest_dn is None else int(brightest_dn)
     return float(next(top for top in (1023, 4095, 16383, 65535) if brightest <= top))
 
 
 def noise_dn(raw: ImageArray) -> float:
     """Deviation of the pixel noise, DN, from neighbours on a sparse grid: a gradient or a few lights do not matter."""
-    left = raw[3::17, 5:-1:19].astype(np.float64)
-    right = raw[3::17, 6::19].astype(np.float64)
-    # The median of |difference| of two normal values is 0.954 of their deviation.
-    return float(np.median(np.abs(left - right[:, : left.shape[1]]))) / 0.954 if left.size else 0.0
+    return dk.background_and_noise(raw, dk.tile_maxima(raw))[1]
 
 
 def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
@@ -120,9 +118,8 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     raw = intensity(capture.image)
     maxima = dk.tile_maxima(raw)
     brightest = float(maxima.max())
-    full_scale = full_scale_dn(raw)
-    # The median of a sparse grid is the background: LEDs cover a small part of the picture.
-    background = float(np.median(raw[4::17, 4::19])) if raw.size > 4096 else float(np.median(raw))
+    full_scale = full_scale_dn(raw, brightest)
+    background, noise = dk.background_and_noise(raw, maxima)
     contrast = brightest - background
     if contrast < config.min_contrast * full_scale:
         return NoBlobs(
@@ -134,11 +131,11 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     if config.detection == "paper":
         found = _components_of_segmentation(raw, config)
     else:
-        floor = max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise_dn(raw))
+        floor = max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise)
         table = np.empty((MAX_COMPONENTS, dk.COMPONENT_COLUMNS))
         half = config.window_px // 2
         level = background + floor
-        count = dk.find_components(raw, maxima, level, half, config.threshold_k, floor, table)
+        count = dk.find_components(raw, maxima, level, half, config.threshold_k, floor, config.threshold_floor, table)
         found = table[:count] if count >= 0 else None
     if found is None:
         return NoBlobs("blobs", "too_many_blobs", f"more than {MAX_COMPONENTS} bright places or {dk.MAX_PEAKS} peaks")
@@ -180,23 +177,23 @@ def _measure(image: ImageArray, raw: ImageArray, table: FloatArray, full_scale: 
     table = table[(area >= 0.5 * config.min_area_px2) & (area <= 2.0 * config.max_area_px2)]
     area = table[:, dk.AREA].copy()
     boxes = np.ascontiguousarray(table[:, dk.X0 : dk.Y1 + 1])
-    measured = np.empty((len(table), dk.MEASURE_COLUMNS))
+    measured = np.empty((len(table), ck.MEASURE_COLUMNS))
     gain = config.gain_e_per_dn * 255.0 / full_scale
-    dk.measure_blobs(raw, boxes, gain, full_scale, measured)
+    ck.measure_blobs(raw, boxes, gain, full_scale, measured)
     binary = table[:, (dk.SUM_X, dk.SUM_Y)] / area[:, None]
     binary_sigma = _BINARY_SIGMA_PX / np.sqrt(np.maximum(2.0 * np.sqrt(area / pi), 1.0))
-    weighted = np.isfinite(measured[:, dk.CX])
+    weighted = np.isfinite(measured[:, ck.CX])
     if config.centroid == "binary":
         weighted = np.zeros(len(table), dtype=bool)
-    centroid = np.where(weighted[:, None], measured[:, (dk.CX, dk.CY)], binary)
-    sigma = np.where(weighted, measured[:, dk.SIGMA], binary_sigma)
+    centroid = np.where(weighted[:, None], measured[:, (ck.CX, ck.CY)], binary)
+    sigma = np.where(weighted, measured[:, ck.SIGMA], binary_sigma)
     perimeter = np.maximum(table[:, dk.PERIMETER], 1e-9)
     height, width = raw.shape
     on_edge = (boxes[:, 0] <= 0) | (boxes[:, 1] <= 0) | (boxes[:, 2] >= width - 1) | (boxes[:, 3] >= height - 1)
     hue, saturation = _colours(image, boxes, full_scale)
     return Blobs(
         centroid, sigma, area, 4.0 * pi * area / perimeter**2, boxes, hue, saturation,
-        measured[:, dk.PEAK].copy(), measured[:, dk.CLIPPED].copy(), on_edge,
+        measured[:, ck.PEAK].copy(), measured[:, ck.CLIPPED].copy(), on_edge,
     )  # fmt: skip
 
 
