@@ -22,6 +22,7 @@ from uvgs_bench.sensor.pose_kernels import normal_equations
 
 SOLVERS: dict[str, str] = {
     "uvgs_lm": "uvgs_bench.sensor.solvers.uvgs_lm:solve",
+    "uvgs_dogleg": "uvgs_bench.sensor.solvers.uvgs_dogleg:solve",
     "opencv_iterative": "uvgs_bench.sensor.solvers.opencv_pnp:solve_iterative",
     "opencv_sqpnp": "uvgs_bench.sensor.solvers.opencv_pnp:solve_sqpnp",
     "opencv_epnp": "uvgs_bench.sensor.solvers.opencv_pnp:solve_epnp",
