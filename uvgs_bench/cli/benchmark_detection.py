@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from uvgs_bench.sessions.detection_benchmark import DetectionBenchmark
     from uvgs_bench.sessions.detection_scores import Row
 
+_TABLE_WIDTH = 104
+
 
 class TagSpan(StrEnum):
     """What of the tag equals the beacon's largest LED distance."""
@@ -65,19 +67,20 @@ def _print_result(result: DetectionBenchmark) -> None:
 
     for line in result.protocol:
         out.print(f"- {line}", markup=False)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("condition", "method"):
-        table.add_column(title, no_wrap=True)
-    for title in ("poses", "false", "mm RMS", "deg RMS", "ms", "mm ratio", "deg ratio", "ms ratio"):
+    # A pipe has no width, and a cropped figure is worse than a long line.
+    table = Table(box=None, pad_edge=False, header_style="bold", width=_TABLE_WIDTH)
+    table.add_column("method", no_wrap=True)
+    for title in ("poses", "false", "mm RMS", "deg RMS", "ms", "x mm", "x deg", "x ms"):
         table.add_column(title, justify="right", no_wrap=True)
     blocks = [(f"{condition.group} {condition.label}", rows) for condition, rows in result.conditions]
     for label, rows in [*blocks, ("all conditions", result.overall)]:
-        for i, row in enumerate(rows):
-            table.add_row(label if i == 0 else "", row.method, *_cells(row))
+        table.add_row(f"[bold]{label}")
+        for row in rows:
+            table.add_row(f"  {row.method}", *_cells(row))
         for name in result.not_installed:
-            table.add_row("", name, "not installed")
-        table.add_section()
-    out.print(table)
+            table.add_row(f"  {name}", "not installed")
+    out.print("ms: processor time per picture; x: times that of uVGS on the same pictures", markup=False)
+    out.print(table, crop=False, no_wrap=True, overflow="ignore")
     for row in result.overall:
         if row.reasons:
             counts = ", ".join(f"{reason} {count}" for reason, count in row.reasons.items())

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from math import sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from uvgs_bench.devices.sim.bench import true_lens
 from uvgs_bench.devices.sim.tag_views import WALL_SHARE, SideBySide, Tag
@@ -207,3 +209,20 @@ def test_quick_takes_one_condition_of_each_kind():
     quick = [condition.group for condition in default_conditions(quick=True)]
     assert set(quick) == every
     assert len(quick) == len(every)
+
+
+def test_command_prints_whole_rows_and_strict_json(monkeypatch, capsys):
+    import uvgs_bench.sessions.detection_conditions as conditions
+    from uvgs_bench.cli.benchmark_detection import detection
+
+    monkeypatch.setattr(conditions, "default_conditions", lambda *, quick: (EASY,))
+    outputs = []
+    for as_json in (False, True):
+        with pytest.raises(typer.Exit) as ended:
+            detection(captures=1, quick=True, as_json=as_json, quiet=True)
+        assert ended.value.exit_code == 0
+        outputs.append(capsys.readouterr().out)
+    line = next(line for line in outputs[0].splitlines() if "refine APRILTAG" in line and "/1 " in line)
+    # Whole also where there is no terminal: poses, false, two errors, time, three ratios.
+    assert len(line.split()) == 4 + 8
+    assert json.loads(outputs[1])["overall"][0]["captures"] == 3
