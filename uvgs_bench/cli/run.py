@@ -30,6 +30,9 @@ def run(
     beacon: Annotated[Path | None, typer.Option("--beacon", help="Beacon; a run folder has its own.")] = None,
     config: Annotated[Path | None, typer.Option("--config", help="Sensor parameters, TOML.")] = None,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Stop after so many captures.")] = None,
+    debug_images: Annotated[
+        Path | None, typer.Option("--debug-images", help="Folder for one picture per capture of what each stage saw.")
+    ] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -40,6 +43,7 @@ def run(
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.interop.trajectories import open_pose_writer
     from uvgs_bench.sensor.uvgs import Uvgs
+    from uvgs_bench.sessions.debug_images import DebugImages
     from uvgs_bench.sessions.events import Remark
     from uvgs_bench.sessions.stream import Tally, solve_source
 
@@ -53,9 +57,12 @@ def run(
         sink(Remark("info", "loading compiled kernels"))
         uvgs.warm_up()
         tally = Tally()
+        drawn = None if debug_images is None else DebugImages(debug_images, uvgs, force=force)
         for capture, outcome in solve_source(captures, uvgs, sink, total=total, limit=limit):
             writer.write(capture, outcome)
             tally.add(outcome)
+            if drawn is not None:
+                drawn.write(capture, outcome)
     _show(tally, out, as_json)
     code = ExitCode.DONE if tally.ok else ExitCode.INCONCLUSIVE if tally.total else ExitCode.INPUT
     raise typer.Exit(int(code))
