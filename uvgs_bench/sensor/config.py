@@ -30,14 +30,17 @@ class UvgsConfig:
         centroid: ``weighted`` (raw pixels above local background) or ``binary`` (first moments of the binary blob).
         gain_e_per_dn: Electrons per grey step of an 8-bit picture, for the shot noise of the centroid deviations.
         correspondence: ``scored`` (all labelings) or ``paper`` (section 2.4).
-        min_margin: Below this ratio of the costs of runner-up and best the answer is ``ambiguous``.
-        max_chance_fits: Refuse a fit when more than this many as good are expected from lights strewn at random.
+        min_margin: Below this margin (1 + log likelihood ratio of best and runner-up) the answer is ``ambiguous``.
+        max_chance_fits: Refuse a fit when more than this many as likely are expected from lights strewn at random.
         model_error_px: What lens and beacon files may be wrong by, px; used to judge fits, not in the covariance.
         max_chi2_per_dof: Largest chi-square per degree of freedom of an accepted fit.
         max_rms_px: Largest root mean square residual of an accepted fit, px per axis.
         emission_slack_deg: How far beyond its half angle an LED may still be seen, degrees.
         solver: Name in ``SOLVERS``.
         max_iterations: Most iterations of the solver.
+        emission_exponent: An LED shines as the cosine to its axis to this power, when brightness is compared.
+        led_brightness_sigma: Deviation of the natural logarithm of brightness between good LEDs; 0 does not compare it.
+        led_width_sigma: The same for the width of their spots.
 
     Raises:
         ValueError: A value outside its meaning.
@@ -62,14 +65,17 @@ class UvgsConfig:
     centroid: Literal["weighted", "binary"] = "weighted"
     gain_e_per_dn: float = 40.0
     correspondence: Literal["scored", "paper"] = "scored"
-    min_margin: float = 6.0
-    max_chance_fits: float = 0.25
+    min_margin: float = 4.0
+    max_chance_fits: float = 0.4
     model_error_px: float = 0.15
     max_chi2_per_dof: float = 7.0
     max_rms_px: float = 2.0
     emission_slack_deg: float = 5.0
     solver: str = "uvgs_lm"
     max_iterations: int = 30
+    emission_exponent: float = 1.0
+    led_brightness_sigma: float = 0.3
+    led_width_sigma: float = 0.2
 
     def __post_init__(self) -> None:
         if not 0.0 < self.alpha <= 1.0:
@@ -91,6 +97,9 @@ class UvgsConfig:
             "model_error_px",
             "min_separation_px",
             "emission_slack_deg",
+            "emission_exponent",
+            "led_brightness_sigma",
+            "led_width_sigma",
         ):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")

@@ -10,7 +10,7 @@ from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.correspondence import LedTable
+from uvgs_bench.sensor.led_table import LedTable
 from uvgs_bench.sensor.solution import Solution
 
 # Below this the inverse keeps no digit: far beyond any real view of four LEDs.

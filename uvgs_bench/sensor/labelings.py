@@ -1,0 +1,203 @@
+"""All labelings of a picture's lights, refined and scored, and how many of them chance would give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb, exp, log, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.camera.lens import Lens
+from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.geometry.se3 import rotation_angle
+from uvgs_bench.sensor.config import UvgsConfig
+from uvgs_bench.sensor.correspondence_kernels import KEPT, search_labelings
+from uvgs_bench.sensor.evidence_kernels import appearance_cost
+from uvgs_bench.sensor.led_table import LedTable
+from uvgs_bench.sensor.outcome import PoseEstimate
+
+# Two poses nearer than this are one answer: no user acts differently on them.
+_SAME_TURN_RAD = 0.05
+_SAME_SHIFT = 0.03
+# From one picture to the next the beacon turns and shifts (relative to range) by about this much, one deviation.
+STEP_TURN_RAD = 0.07
+STEP_SHIFT = 0.05
+# A prior speaks for a pose within this many squared deviations, and says nothing about one beyond: it may be carried.
+PRIOR_REACH2 = 16.0
+# Share of all chance poses that lie so near a prior, at most: a cone of 0.3 rad about one of many attitudes.
+_PRIOR_CHANCE = 0.02
+# Lights nobody placed differ in brightness by this factor.
+_STRAY_FACTOR = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One refined labeling.
+
+    Args:
+        cost: Minus twice the log likelihood of all evidence, but for a constant.
+        chi2: The part from centroids.
+        cone_cost: The part from emission cones.
+        pose: The pose.
+        blob_of_led: Blob of each LED or -1, shape (n,).
+        near_prior: Whether a prior speaks for it.
+    """
+
+    cost: float
+    chi2: float
+    cone_cost: float
+    pose: Pose
+    blob_of_led: NDArray[np.int64]
+    near_prior: bool
+
+    @property
+    def seen(self) -> int:
+        """Number of LEDs it explains."""
+        return int((self.blob_of_led >= 0).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """What a search found.
+
+    Args:
+        candidates: Best first.
+        tried: Number of poses tried.
+        area_px2: With four LEDs: sum over these poses and blobs of the area within one unit of cost, over pi.
+        field_px2: Area in which the lights lie.
+        blobs: Number of lights.
+    """
+
+    candidates: list[Candidate]
+    tried: int
+    area_px2: float
+    field_px2: float
+    blobs: int
+
+
+def chance_fits(best: Candidate, found: Search, leds: LedTable, looks: FloatArray | None) -> float:
+    """How many fits as likely as this one lights strewn at random would give.
+
+    For each pose tried, a light strewn evenly over the field falls within a unit of cost of the predicted LED with
+    probability pi area / field. That density, over the density a true fit of this cost has, is the answer; a light of
+    any brightness or width is as much less likely to look like an LED as its range is wider than the LEDs'.
+
+    Args:
+        best: The fit.
+        found: The search it came from.
+        leds: The tabulated beacon.
+        looks: As for ``match_leds``.
+
+    Returns:
+        The expected number.
+    """
+    redundant = best.seen - 3
+    density = pi * found.area_px2 / found.field_px2
+    if len(leds.positions_m) > 4:
+        # Each further LED may take any blob within its gate.
+        gate_px2 = pi * 16.0 * found.area_px2
+        share = min(1.0, found.blobs * gate_px2 / found.field_px2)
+        lit = len(leds.positions_m) - 3
+        return found.tried * comb(lit, redundant) * share**redundant
+    # A true fit has two degrees of freedom, so its density is exp(-chi2 / 2) / 2.
+    odds = 2.0 * density * exp(min(0.5 * (best.chi2 + best.cone_cost), 60.0))
+    if looks is not None:
+        odds *= _stray_odds(best, leds, looks)
+    return odds * (_PRIOR_CHANCE if best.near_prior else 1.0)
+
+
+def _stray_odds(best: Candidate, leds: LedTable, looks: FloatArray) -> float:
+    """How much likelier the looks are when one of four lights is a stray than when all are LEDs: any may be the one."""
+    odds = 1.0
+    R, t = best.pose.R.copy(), best.pose.t_m.copy()
+    for column in range(2):
+        sigma = float(leds.look_sigma[column])
+        if sigma <= 0.0 or not np.isfinite(looks[best.blob_of_led, column]).all():
+            continue
+        only = np.zeros(2)
+        only[column] = sigma
+
+        def cost(of: NDArray[np.int64], only: FloatArray = only) -> float:
+            return appearance_cost(R, t, leds.positions_m, leds.axes, of, looks, only, leds.exponent)
+
+        whole = cost(best.blob_of_led)
+        without = [cost(np.where(np.arange(4) == k, -1, best.blob_of_led)) for k in range(4)]
+        gain = float(np.mean(np.exp(0.5 * (whole - np.array(without)))))
+        odds *= gain
+        if column == 0:
+            # One light against the mean of three others. Strays may well be as wide as LEDs, so width has no such gain.
+            odds *= sqrt(2.0 * pi * 4.0 / 3.0) * sigma / log(_STRAY_FACTOR)
+    return odds
+
+
+def search(
+    px: FloatArray,
+    sigma: FloatArray,
+    lens: Lens,
+    leds: LedTable,
+    config: UvgsConfig,
+    prior: PoseEstimate | None = None,
+    looks: FloatArray | None = None,
+) -> Search:
+    """Refined labelings, best first; arguments as for ``match_leds``."""
+    rays = lens.unproject(px)
+    seen = np.flatnonzero(np.isfinite(rays[:, 0]))
+    if len(seen) < 4:
+        return Search([], 0, 0.0, 1.0, len(seen))
+    n = len(leds.positions_m)
+    costs, chi2s, cones = np.empty((3, KEPT))
+    Rs, ts = np.empty((KEPT, 3, 3)), np.empty((KEPT, 3))
+    assignments = np.empty((KEPT, n), dtype=np.int64)
+    reach = max(lens.fx_px, lens.fy_px) * leds.longest_m / config.min_range_m
+    at = np.ascontiguousarray(px[seen])
+    known = np.full((len(seen), 2), np.nan) if looks is None else np.ascontiguousarray(looks[seen])
+    count, tried, area = search_labelings(
+        lens.model_id, lens.kernel_parameters, np.ascontiguousarray(rays[seen]), at, np.ascontiguousarray(sigma[seen]),
+        known, leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose,
+        leds.triples, _blob_triples(at, n), reach, config.min_range_m, config.max_range_m,
+        costs, chi2s, cones, Rs, ts, assignments,
+    )  # fmt: skip
+    out = []
+    for i in range(count):
+        pose = Pose(Rs[i], ts[i], "camera", "beacon")
+        near, step2 = step_from(prior, pose)
+        cost = float(costs[i]) + min(step2, PRIOR_REACH2)
+        assignment = np.where(assignments[i] >= 0, seen[assignments[i]], -1)
+        out.append(Candidate(cost, float(chi2s[i]), float(cones[i]), pose, assignment, near))
+    out.sort(key=lambda c: c.cost)
+    # The lights lie in their bounding box, widened by as much as the outermost of m lights stay within a field.
+    sides = (at.max(axis=0) - at.min(axis=0)) * (len(at) + 1.0) / (len(at) - 1.0)
+    field_px2 = max(float(sides[0] * sides[1]), 1.0)
+    if n > 4:
+        area = float(np.mean(sigma[seen] ** 2))
+    return Search(out, tried, area, field_px2, len(seen))
+
+
+def _blob_triples(px: FloatArray, n: int) -> NDArray[np.int64]:
+    """All triples of blobs; for beacons of many LEDs the widest first, since the search may end early."""
+    triples = np.array(list(combinations(range(len(px)), 3)), dtype=np.int64)
+    if n == 4:
+        return triples
+    a, b, c = px[triples[:, 0]], px[triples[:, 1]], px[triples[:, 2]]
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    return np.ascontiguousarray(triples[np.argsort(-area, kind="stable")])
+
+
+def step_from(prior: PoseEstimate | None, pose: Pose) -> tuple[bool, float]:
+    """Whether a pose is one step from a prior, and how many squared deviations away."""
+    if prior is None:
+        return False, 0.0
+    last = prior.camera_from_beacon
+    turn2 = float(np.mean(prior.rotation_sigma_rad**2)) + STEP_TURN_RAD**2
+    range_m = float(np.linalg.norm(last.t_m))
+    shift2 = float(np.mean(prior.position_sigma_m**2)) + (STEP_SHIFT * range_m) ** 2
+    step2 = rotation_angle(last.R.T @ pose.R) ** 2 / turn2 + float(np.sum((last.t_m - pose.t_m) ** 2)) / shift2
+    return step2 < PRIOR_REACH2, step2
+
+
+def is_different(a: Pose, b: Pose) -> bool:
+    """Whether two poses are two answers to a user."""
+    shift = float(np.linalg.norm(a.t_m - b.t_m)) / float(np.linalg.norm(a.t_m))
+    return shift > _SAME_SHIFT or rotation_angle(a.R.T @ b.R) > _SAME_TURN_RAD
