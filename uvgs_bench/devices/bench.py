@@ -93,6 +93,7 @@ class GantryFile:
         axes: The axes in the controller's order.
         port: The spec of the gantry: ``grbl:/dev/ttyACM0``, or ``grbl:sim://`` for the simulated one.
         homing_timeout_s: How long homing may take, s.
+        position_sigma_mm: What the carriage's position is doubted by, standard deviation per axis, mm.
         keep_out: Boxes no move may touch: for each, an interval by axis as ``X_mm = [lower, upper]`` or
             ``A_deg = [lower, upper]``; an axis not named is blocked over its whole travel.
     """
@@ -100,7 +101,12 @@ class GantryFile:
     axes: tuple[AxisFile, ...]
     port: str = "grbl:sim://"
     homing_timeout_s: float = 120.0
+    position_sigma_mm: float = 0.05
     keep_out: tuple[dict[str, tuple[float, float]], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.position_sigma_mm > 0.0:
+            raise ValueError(f"position_sigma_mm must be positive, got {self.position_sigma_mm}")
 
     def envelope(self) -> Envelope:
         """Axes and keep-out boxes in m and rad.
@@ -166,6 +172,7 @@ class Bench:
         envelope: Axes and what they may reach, m and rad.
         mount: Which part rides the carriage.
         homing_timeout_s: How long homing may take, s.
+        position_sigma_m: Doubt of the carriage's position, standard deviation per axis, m.
         sensor_file: Path of the sensor's settings, or None for the defaults.
         simulated: The truth of the simulated bench, or None when there is none.
         path: The file it was read from, or empty.
@@ -179,6 +186,7 @@ class Bench:
     envelope: Envelope
     mount: Mount = "beacon_on_carriage"
     homing_timeout_s: float = 120.0
+    position_sigma_m: float = 5e-5
     sensor_file: str | None = None
     simulated: SimulatedTruth | None = field(default=None)
     path: str = ""

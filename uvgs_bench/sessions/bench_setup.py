@@ -382,5 +382,6 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
         keep=keep,
         started_t_ns=rig.clock.now_ns(),
         settle_s=procedure.settle_s,
+        gantry_sigma_m=set_up.bench.position_sigma_m,
         sources=set_up.sources,
     )

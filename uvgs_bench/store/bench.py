@@ -10,6 +10,7 @@ from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import ConfigError
 from uvgs_bench.store.beacons import read_beacon
 from uvgs_bench.store.documents import read_document
+from uvgs_bench.units import m_from_mm
 
 
 def read_bench(path: Path) -> Bench:
@@ -39,6 +40,7 @@ def read_bench(path: Path) -> Bench:
         envelope=envelope,
         mount=file.mount,
         homing_timeout_s=file.gantry.homing_timeout_s,
+        position_sigma_m=m_from_mm(file.gantry.position_sigma_mm),
         sensor_file=None if file.sensor is None else str(folder / file.sensor),
         simulated=file.simulated,
         path=str(path),

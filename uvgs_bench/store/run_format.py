@@ -18,7 +18,7 @@ from uvgs_bench.store.run_types import Ending, RunManifest, Sample, Seam
 SCHEMA = 1
 _PLAIN_KEYS = (
     *("id", "created_utc", "procedure_name", "mount", "seed", "camera_spec", "gantry_spec", "simulated", "plan_hash"),
-    *("station_count", "captures_per_station", "keep", "started_t_ns", "settle_s"),
+    *("station_count", "captures_per_station", "keep", "started_t_ns", "settle_s", "gantry_sigma_m"),
 )
 _TABLE_KEYS = ("hashes", "versions", "gantry_info", "sources")
 

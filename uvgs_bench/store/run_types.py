@@ -92,6 +92,7 @@ class RunManifest:
         keep: Which pictures are kept: ``all``, ``worst`` or ``none``.
         started_t_ns: Bench time at ``created_utc``, ns.
         settle_s: Wait between arrival and the first exposure, s.
+        gantry_sigma_m: Doubt of the carriage's position, standard deviation per axis, m.
         sources: Where each set-up file was read, by the name of its copy.
     """
 
@@ -114,6 +115,7 @@ class RunManifest:
     keep: str = "all"
     started_t_ns: int = 0
     settle_s: float = 0.0
+    gantry_sigma_m: float = 5e-5
     sources: dict[str, str] = field(default_factory=dict)
 
 
