@@ -23,6 +23,10 @@ from uvgs_bench.geometry.se3 import se3_exp
 
 _MAX_ITERATIONS = 200
 
+SHAPE_NAMES = ("bow_x_m", "bow_y_m", "stretch_y")
+"""The shape of a printed board: height of its middle over its edges by a parabola along x and along y (m), and how much
+longer its y is printed than its x (a share). A common scale cannot be told from distance."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
@@ -33,39 +37,53 @@ class Corners:
         px: Observed pixels, shape (N, 2).
         view: Number of the view of each corner, shape (N,), rising from 0.
         view_count: Number of views; each has at least three corners.
+        by_shape: Derivative of the board points by ``SHAPE_NAMES``, shape (N, 3, 3).
     """
 
     points_m: FloatArray
     px: FloatArray
     view: NDArray[np.intp]
     view_count: int
+    by_shape: FloatArray
 
     @classmethod
     def of(cls, views: Sequence[BoardView]) -> Corners:
         """Pack views."""
         sizes = [len(view.px) for view in views]
+        points_m = np.concatenate([view.board_m for view in views])
+        low, high = points_m.min(axis=0), points_m.max(axis=0)
+        middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-12)
+        offset = points_m - middle
+        by_shape = np.zeros((len(points_m), 3, 3))
+        by_shape[:, 2, 0] = 1.0 - (offset[:, 0] / half[0]) ** 2
+        by_shape[:, 2, 1] = 1.0 - (offset[:, 1] / half[1]) ** 2
+        by_shape[:, 1, 2] = offset[:, 1]
         return cls(
-            np.concatenate([view.board_m for view in views]),
+            points_m,
             np.concatenate([view.px for view in views]),
             np.repeat(np.arange(len(views)), sizes),
             len(views),
+            by_shape,
         )
 
     def kept(self, mask: NDArray[np.bool_]) -> Corners:
         """Only the corners of a mask, shape (N,); every view must keep some."""
-        return Corners(self.points_m[mask], self.px[mask], self.view[mask], self.view_count)
+        return Corners(self.points_m[mask], self.px[mask], self.view[mask], self.view_count, self.by_shape[mask])
 
     def only(self, wanted: Sequence[int]) -> Corners:
         """Only some views, renumbered in the order given (which must rise)."""
         chosen = np.isin(self.view, wanted)
         renumber = np.searchsorted(np.asarray(wanted), self.view[chosen])
-        return Corners(self.points_m[chosen], self.px[chosen], renumber, len(wanted))
+        return Corners(self.points_m[chosen], self.px[chosen], renumber, len(wanted), self.by_shape[chosen])
 
     def per_view(self, values: FloatArray) -> FloatArray:
         """Sum values over the corners of each view, shape (V, ...)."""
-        starts = np.searchsorted(self.view, np.arange(self.view_count))
-        result: FloatArray = np.add.reduceat(values, starts, axis=0)
+        result: FloatArray = np.add.reduceat(values, self.bounds()[:-1], axis=0)
         return result
+
+    def bounds(self) -> NDArray[np.intp]:
+        """Where each view begins, and the end, shape (V + 1,)."""
+        return np.searchsorted(self.view, np.arange(self.view_count + 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,15 +94,26 @@ class Bundle:
         lens: The lens.
         R_cb: Rotations camera from board, shape (V, 3, 3).
         t_cb: Translations, shape (V, 3), m.
+        shape: Shape of the board by ``SHAPE_NAMES``, shape (3,), or None when the board is taken as declared.
     """
 
     lens: Lens
     R_cb: FloatArray
     t_cb: FloatArray
+    shape: FloatArray | None = None
+
+    @property
+    def common(self) -> FloatArray:
+        """Lens parameters, then the board's shape when it is free, shape (G,)."""
+        parameters = self.lens.parameters
+        return parameters if self.shape is None else np.concatenate([parameters, self.shape])
 
     def points_in_camera(self, corners: Corners) -> FloatArray:
         """Corners in camera axes, shape (N, 3), m."""
-        turned = np.einsum("nij,nj->ni", self.R_cb[corners.view], corners.points_m)
+        board_m = corners.points_m
+        if self.shape is not None:
+            board_m = board_m + corners.by_shape @ self.shape
+        turned = (self.R_cb[corners.view] @ board_m[:, :, None])[:, :, 0]
         result: FloatArray = turned + self.t_cb[corners.view]
         return result
 
@@ -92,41 +121,56 @@ class Bundle:
         """Observed minus projected, shape (N, 2), px; NaN where the lens sees nothing."""
         return corners.px - self.lens.project(self.points_in_camera(corners))
 
-    def moved(self, twists: FloatArray, parameters: FloatArray | None = None) -> Bundle:
-        """Left update of every pose by its twist (V, 6), and new lens parameters. Raises CalibrationError."""
+    def only(self, wanted: Sequence[int]) -> Bundle:
+        """The same with the poses of some views."""
+        chosen = np.asarray(wanted)
+        return Bundle(self.lens, self.R_cb[chosen], self.t_cb[chosen], self.shape)
+
+    def moved(self, twists: FloatArray, common: FloatArray | None = None) -> Bundle:
+        """Left update of every pose by its twist (V, 6), and new common parameters. Raises CalibrationError."""
         R, t = np.empty_like(self.R_cb), np.empty_like(self.t_cb)
         for i, twist in enumerate(np.ascontiguousarray(twists)):
             dR, dt = se3_exp(twist)
             R[i], t[i] = dR @ self.R_cb[i], dR @ self.t_cb[i] + dt
-        return Bundle(self.lens if parameters is None else self.lens.with_parameters(parameters), R, t)
+        if common is None:
+            return Bundle(self.lens, R, t, self.shape)
+        size = self.lens.parameters.size
+        return Bundle(self.lens.with_parameters(common[:size]), R, t, None if self.shape is None else common[size:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """Normal equations: pose blocks (V, 6, 6), mixed blocks (V, 6, P), lens block (P, P), and the gradients."""
+    """Normal equations: pose blocks (V, 6, 6), mixed blocks (V, 6, G), common blocks (V, G, G), gradients, costs."""
 
     poses: FloatArray
     mixed: FloatArray
-    lens: FloatArray
+    common: FloatArray
     gradient_poses: FloatArray
-    gradient_lens: FloatArray
+    gradient_common: FloatArray
     cost_of_view: FloatArray
 
 
-def _normal(bundle: Bundle, corners: Corners) -> _Normal:
+def _normal(bundle: Bundle, corners: Corners, *, with_common: bool = True) -> _Normal:
     p = bundle.points_in_camera(corners)
     px, by_point, by_lens = bundle.lens.project_with_jacobians(p)
-    e = corners.px - px
+    count = len(p)
+    is_shaped = with_common and bundle.shape is not None
+    size = (by_lens.shape[2] if with_common else 0) + (len(SHAPE_NAMES) if is_shaped else 0)
+    J = np.empty((count, 2, 7 + size))
     # d p' / d xi = [-[p']^ | I] for the left update; a row a of d px / d p' times -[p']^ is p' x a.
-    by_pose = np.concatenate([np.cross(p[:, None, :], by_point), by_point], axis=2)
-    add = corners.per_view
+    x, y, z = p[:, 0, None], p[:, 1, None], p[:, 2, None]
+    ax, ay, az = by_point[:, :, 0], by_point[:, :, 1], by_point[:, :, 2]
+    J[:, :, 0], J[:, :, 1], J[:, :, 2] = y * az - z * ay, z * ax - x * az, x * ay - y * ax
+    J[:, :, 3:6] = by_point
+    if with_common:
+        J[:, :, 6 : 6 + by_lens.shape[2]] = by_lens
+    if is_shaped:
+        J[:, :, 6 + by_lens.shape[2] : -1] = by_point @ (bundle.R_cb[corners.view] @ corners.by_shape)
+    J[:, :, -1] = corners.px - px
+    rows, bounds = J.reshape(2 * count, -1), 2 * corners.bounds()
+    gram = np.stack([rows[a:b].T @ rows[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)])
     return _Normal(
-        add(by_pose.swapaxes(1, 2) @ by_pose),
-        add(by_pose.swapaxes(1, 2) @ by_lens),
-        np.tensordot(by_lens, by_lens, axes=((0, 1), (0, 1))),
-        add(np.einsum("nij,ni->nj", by_pose, e)),
-        np.einsum("nij,ni->j", by_lens, e),
-        add(np.einsum("ni,ni->n", e, e)),
+        gram[:, :6, :6], gram[:, :6, 6:-1], gram[:, 6:-1, 6:-1], gram[:, :6, -1], gram[:, 6:-1, -1], gram[:, -1, -1]
     )
 
 
@@ -138,12 +182,14 @@ def _damped(blocks: FloatArray, damping: FloatArray | float) -> FloatArray:
     return out
 
 
-def adjust(bundle: Bundle, corners: Corners) -> Bundle:
-    """Least squares over the lens and all poses.
+def adjust(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) -> Bundle:
+    """Least squares over the common parameters and all poses.
 
     Args:
         bundle: Start; every corner must be in the valid field.
         corners: What was seen.
+        prior: Weights of the squares of the common parameters in the cost, shape (G,), px^2 per squared unit: how
+            strongly each is drawn to zero. None draws nothing.
 
     Returns:
         The minimum.
@@ -151,33 +197,37 @@ def adjust(bundle: Bundle, corners: Corners) -> Bundle:
     Raises:
         CalibrationError: The start does not see its corners, or nothing moves the cost.
     """
+    weights = np.zeros(bundle.common.size) if prior is None else prior
     normal = _normal(bundle, corners)
-    cost = float(normal.cost_of_view.sum())
+    cost = float(normal.cost_of_view.sum() + weights @ bundle.common**2)
     if not np.isfinite(cost):
         raise CalibrationError("the start of the adjustment does not see all corners")
     damping, growth, quiet = 1e-3, 2.0, 0
     for _ in range(_MAX_ITERATIONS):
+        common = normal.common.sum(axis=0)
+        common[np.diag_indices_from(common)] += weights
         try:
             inverse = np.linalg.inv(_damped(normal.poses, damping))
             eliminated = inverse @ normal.mixed
-            S = _damped(normal.lens, damping) - np.tensordot(normal.mixed, eliminated, axes=((0, 1), (0, 1)))
-            rhs = normal.gradient_lens - np.einsum("vij,vi->j", eliminated, normal.gradient_poses)
-            scale = 1.0 / np.sqrt(np.diag(normal.lens))
+            S = _damped(common, damping) - (normal.mixed.swapaxes(1, 2) @ eliminated).sum(axis=0)
+            gradient = normal.gradient_common.sum(axis=0) - weights * bundle.common
+            rhs = gradient - np.einsum("vij,vi->j", eliminated, normal.gradient_poses)
+            scale = 1.0 / np.sqrt(np.diag(common))
             step = scale * np.linalg.solve(scale[:, None] * S * scale, scale * rhs)
-            twists = np.einsum("vij,vj->vi", inverse, normal.gradient_poses - normal.mixed @ step)
-            candidate = bundle.moved(twists, bundle.lens.parameters + step)
-            new_cost = float((candidate.residuals_px(corners) ** 2).sum())
+            twists = (inverse @ (normal.gradient_poses - normal.mixed @ step)[:, :, None])[:, :, 0]
+            candidate = bundle.moved(twists, bundle.common + step)
+            new = _normal(candidate, corners)
+            new_cost = float(new.cost_of_view.sum() + weights @ candidate.common**2)
         except (np.linalg.LinAlgError, CalibrationError, ValueError):
             new_cost = np.inf
         if new_cost <= cost:
             gain = (cost - new_cost) / max(cost, 1e-300)
-            bundle, cost = candidate, new_cost
+            bundle, cost, normal = candidate, new_cost, new
             damping, growth = max(damping / 10.0, 1e-12), 2.0
             # Two steps in a row without gain: the digits are used up.
             quiet = quiet + 1 if gain < 1e-14 else 0
             if quiet >= 2 or cost < 1e-18 * len(corners.px):
                 return bundle
-            normal = _normal(bundle, corners)
         else:
             damping, growth = damping * growth, growth * 2.0
             if damping > 1e10:
@@ -197,7 +247,7 @@ def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bund
         The lens with better poses.
     """
     damping = np.full(corners.view_count, 1e-3)
-    normal = _normal(bundle, corners)
+    normal = _normal(bundle, corners, with_common=False)
     for _ in range(iterations):
         blocks = np.where(np.isfinite(normal.poses), normal.poses, 0.0) + 1e-12 * np.eye(6)
         gradient = np.where(np.isfinite(normal.gradient_poses), normal.gradient_poses, 0.0)
@@ -205,28 +255,44 @@ def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bund
         # Half a turn is the most a step can mean.
         twists[np.linalg.norm(twists[:, :3], axis=1) > 1.0] *= 0.3
         moved = bundle.moved(twists)
-        new = _normal(moved, corners)
+        new = _normal(moved, corners, with_common=False)
         is_better = new.cost_of_view < normal.cost_of_view
         gain = (normal.cost_of_view - new.cost_of_view) / np.maximum(normal.cost_of_view, 1e-300)
         bundle = Bundle(
             bundle.lens,
             np.where(is_better[:, None, None], moved.R_cb, bundle.R_cb),
             np.where(is_better[:, None], moved.t_cb, bundle.t_cb),
+            bundle.shape,
         )
         if is_better.all():
             normal = new
         elif is_better.any():
-            normal = _normal(bundle, corners)
+            normal = _normal(bundle, corners, with_common=False)
         damping = np.where(is_better, damping * 0.1, damping * 8.0)
         if (is_better & (gain < 1e-12)).all() or (damping > 1e3).all():
             break
     return bundle
 
 
-def lens_information(bundle: Bundle, corners: Corners) -> FloatArray:
-    """Information about the lens with all poses free: the Schur complement of the normal equations, (P, P), 1/px^2."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Information:
+    """What each view says about the common parameters once its pose is free, and how its pose follows them.
+
+    Args:
+        reduced: Schur complement of each view, shape (V, G, G), 1/px^2.
+        pose_inverse: Inverse information of each pose at fixed common parameters, shape (V, 6, 6), px^2.
+        pose_by_common: Change of each pose's twist with the common parameters, shape (V, 6, G).
+    """
+
+    reduced: FloatArray
+    pose_inverse: FloatArray
+    pose_by_common: FloatArray
+
+
+def information(bundle: Bundle, corners: Corners) -> Information:
+    """Information at a minimum, view by view. Raises LinAlgError when a view does not fix its own pose."""
     normal = _normal(bundle, corners)
-    eliminated = np.linalg.solve(normal.poses, normal.mixed)
-    S = normal.lens - np.tensordot(normal.mixed, eliminated, axes=((0, 1), (0, 1)))
-    result: FloatArray = 0.5 * (S + S.T)
-    return result
+    inverse = np.linalg.inv(normal.poses)
+    eliminated = inverse @ normal.mixed
+    S = normal.common - normal.mixed.swapaxes(1, 2) @ eliminated
+    return Information(0.5 * (S + S.swapaxes(1, 2)), inverse, -eliminated)

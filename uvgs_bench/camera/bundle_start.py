@@ -19,10 +19,13 @@ from uvgs_bench.geometry.se3 import nearest_rotation
 _FOCAL_WIDTHS = (0.2, 0.28, 0.38, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
 # The best starts are adjusted fully; the lowest minimum wins.
 _FULL_STARTS = 3
+# A first try whose typical residual is a corner finder's noise has found the minimum: a wrong pose or focal length
+# costs pixels, not tenths.
+_CONVINCING_PX = 0.5
 
 
-def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle:
-    """Adjust from several focal lengths and keep the lowest minimum.
+def start(model: str, corners: Corners, width_px: int, height_px: int, prior: FloatArray | None = None) -> Bundle:
+    """Adjust from the focal length of the homographies or, when that is not convincing, from several.
 
     The polynomial lenses with more coefficients grow from ``plumb_bob``: started from nothing, their numerator and
     denominator run away together.
@@ -32,6 +35,7 @@ def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle
         corners: What was seen.
         width_px: Picture width, px.
         height_px: Picture height, px.
+        prior: Weights that draw the parameters to zero, as in ``adjust``, shape (P,).
 
     Returns:
         Lens and poses at the lowest minimum found.
@@ -40,10 +44,42 @@ def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle
         CalibrationError: No start sees the boards.
     """
     if model in ("rational_polynomial", "thin_prism"):
-        smaller = start("plumb_bob", corners, width_px, height_px)
-        missing = len(LENSES[model].parameter_names) - smaller.lens.parameters.size
-        grown = Lens(model, width_px, height_px, np.concatenate([smaller.lens.parameters, np.zeros(missing)]))
-        return adjust(Bundle(grown, smaller.R_cb, smaller.t_cb), corners)
+        return grown(model, start("plumb_bob", corners, width_px, height_px), corners, prior)
+    try:
+        focal_px = _focal_of_homographies(corners, width_px, height_px)
+        lens = _plain_lens(model, focal_px, width_px, height_px)
+        bundle = adjust(refine_poses(planar_poses(lens, corners), corners, iterations=2), corners, prior)
+        if float(np.median(np.linalg.norm(bundle.residuals_px(corners), axis=1))) < _CONVINCING_PX:
+            return bundle
+    except (CalibrationError, np.linalg.LinAlgError, ValueError):
+        pass
+    return _from_many_focals(model, corners, width_px, height_px, prior)
+
+
+def grown(model: str, smaller: Bundle, corners: Corners, prior: FloatArray | None = None) -> Bundle:
+    """Adjust a lens with more coefficients from the minimum of one with fewer, the new ones starting at zero.
+
+    Args:
+        model: Key of ``LENSES`` whose parameters begin with those of the smaller lens.
+        smaller: Minimum of the smaller lens.
+        corners: What was seen.
+        prior: Weights that draw the parameters to zero, as in ``adjust``, shape (P,).
+
+    Returns:
+        The minimum.
+
+    Raises:
+        CalibrationError: Nothing is seen from there.
+    """
+    lens = smaller.lens
+    missing = len(LENSES[model].parameter_names) - lens.parameters.size
+    larger = Lens(model, lens.width_px, lens.height_px, np.concatenate([lens.parameters, np.zeros(missing)]))
+    return adjust(Bundle(larger, smaller.R_cb, smaller.t_cb), corners, prior)
+
+
+def _from_many_focals(
+    model: str, corners: Corners, width_px: int, height_px: int, prior: FloatArray | None
+) -> Bundle:
     ranked: list[tuple[float, int, Bundle]] = []
     for i, focal in enumerate(_FOCAL_WIDTHS):
         lens = _plain_lens(model, focal * width_px, width_px, height_px)
@@ -58,7 +94,7 @@ def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle
     best_cost = np.inf
     for _, _, bundle in sorted(ranked, key=lambda entry: entry[:2])[:_FULL_STARTS]:
         try:
-            adjusted = adjust(bundle, corners)
+            adjusted = adjust(bundle, corners, prior)
         except CalibrationError:
             continue
         cost = float((adjusted.residuals_px(corners) ** 2).sum())
@@ -69,6 +105,24 @@ def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle
             f"a {model} lens does not see these boards from any start: is the board declared as it is?"
         )
     return best
+
+
+def _focal_of_homographies(corners: Corners, width_px: int, height_px: int) -> float:
+    """Focal length of a pinhole with its principal point in the middle, px.
+
+    Source: Z. Zhang (2000), section 3.1, with the image of the absolute conic diag(1/f^2, 1/f^2, 1).
+    """
+    half = 0.5 * width_px
+    middle = 0.5 * np.array([width_px - 1, height_px - 1])
+    H = _homographies(corners.points_m[:, :2], (corners.px - middle) / half, corners)
+    H = H / np.linalg.norm(H, axis=(1, 2), keepdims=True)
+    a, b = H[:, :, 0], H[:, :, 1]
+    flat = np.concatenate([(a * b)[:, :2].sum(axis=1), (a * a - b * b)[:, :2].sum(axis=1)])
+    deep = np.concatenate([a[:, 2] * b[:, 2], a[:, 2] ** 2 - b[:, 2] ** 2])
+    inverse_square = -float(flat @ deep) / float(flat @ flat)
+    widest, longest = 2.0 * _FOCAL_WIDTHS[0], 2.0 * _FOCAL_WIDTHS[-1]
+    focal = 1.0 / np.sqrt(inverse_square) if inverse_square > 0.0 else 2.0
+    return half * float(np.clip(focal, widest, longest))
 
 
 def _plain_lens(model: str, focal_px: float, width_px: int, height_px: int) -> Lens:
@@ -94,39 +148,47 @@ def planar_poses(lens: Lens, corners: Corners) -> Bundle:
     """
     rays = lens.unproject(corners.px)
     forward = rays[:, 2] > 0.1
-    R, t = np.empty((corners.view_count, 3, 3)), np.empty((corners.view_count, 3))
-    for i in range(corners.view_count):
-        chosen = (corners.view == i) & forward
-        if int(chosen.sum()) < 4:
-            raise CalibrationError("too few corners in front of the lens")
-        spread = np.linalg.svd(corners.points_m[chosen] - corners.points_m[chosen].mean(axis=0), compute_uv=False)
-        if spread[1] < 0.02 * spread[0]:
-            # Under a focal length far too short only one line of corners may lie ahead; that fixes no plane.
-            raise CalibrationError("the corners in front of the lens lie on one line")
-        R[i], t[i] = _planar_pose(corners.points_m[chosen, :2], rays[chosen, :2] / rays[chosen, 2:])
-    return Bundle(lens, R, t)
+    count = corners.per_view(forward.astype(np.float64))
+    if count.min() < 4:
+        raise CalibrationError("too few corners in front of the lens")
+    ahead = corners.kept(forward)
+    centred = ahead.points_m - (ahead.per_view(ahead.points_m) / count[:, None])[ahead.view]
+    spread = np.linalg.eigvalsh(ahead.per_view(centred[:, :, None] * centred[:, None, :]))
+    if (spread[:, 1] < 0.02**2 * spread[:, 2]).any():
+        # Under a focal length far too short only one line of corners may lie ahead; that fixes no plane.
+        raise CalibrationError("the corners in front of the lens lie on one line")
+    H = _homographies(ahead.points_m[:, :2], rays[forward, :2] / rays[forward, 2:], ahead)
+    length = np.sqrt(np.linalg.norm(H[:, :, 0], axis=1) * np.linalg.norm(H[:, :, 1], axis=1))
+    H = H * (np.sign(H[:, 2, 2]) / length)[:, None, None]
+    turned = np.stack([H[:, :, 0], H[:, :, 1], np.cross(H[:, :, 0], H[:, :, 1])], axis=2)
+    return Bundle(lens, np.stack([nearest_rotation(matrix) for matrix in turned]), H[:, :, 2])
 
 
-def _planar_pose(board_m: FloatArray, plane: FloatArray) -> tuple[FloatArray, FloatArray]:
-    A, B = _normaliser(board_m), _normaliser(plane)
-    x, y, one = (np.column_stack([board_m, np.ones(len(board_m))]) @ A.T).T
-    u, v, _ = (np.column_stack([plane, np.ones(len(plane))]) @ B.T).T
-    zero = np.zeros_like(x)
-    rows = np.concatenate(
-        [
-            np.column_stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u]),
-            np.column_stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v]),
-        ]
-    )
+def _homographies(board_m: FloatArray, plane: FloatArray, corners: Corners) -> FloatArray:
+    """Homography plane from board of each view, shape (V, 3, 3), of free scale."""
+    A, board = _normalised(board_m, corners)
+    B, seen = _normalised(plane, corners)
+    one, zero = np.ones((len(board), 1)), np.zeros((len(board), 3))
+    point = np.concatenate([board, one], axis=1)
+    by_u = np.concatenate([point, zero, -seen[:, :1] * point], axis=1)
+    by_v = np.concatenate([zero, point, -seen[:, 1:] * point], axis=1)
+    bounds = corners.bounds()
     # The squared system loses half the digits, which a start can spare.
-    H = np.linalg.inv(B) @ np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 3) @ A
-    H *= np.sign(H[2, 2]) / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
-    R = nearest_rotation(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
-    return R, H[:, 2]
+    gram = np.stack(
+        [by_u[a:b].T @ by_u[a:b] + by_v[a:b].T @ by_v[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    )
+    result: FloatArray = np.linalg.inv(B) @ np.linalg.eigh(gram)[1][:, :, 0].reshape(-1, 3, 3) @ A
+    return result
 
 
-def _normaliser(points: FloatArray) -> FloatArray:
-    """Similarity that centres points and gives them unit spread, shape (3, 3)."""
-    centre = points.mean(axis=0)
-    scale = np.sqrt(2.0) / max(float(np.linalg.norm(points - centre, axis=1).mean()), 1e-12)
-    return np.array([[scale, 0.0, -scale * centre[0]], [0.0, scale, -scale * centre[1]], [0.0, 0.0, 1.0]])
+def _normalised(points: FloatArray, corners: Corners) -> tuple[FloatArray, FloatArray]:
+    """Similarities that centre the points of each view and give them unit spread, (V, 3, 3), and the points so."""
+    count = corners.per_view(np.ones(len(points)))
+    centre = corners.per_view(points) / count[:, None]
+    centred = points - centre[corners.view]
+    scale = np.sqrt(2.0) / np.maximum(corners.per_view(np.linalg.norm(centred, axis=1)) / count, 1e-12)
+    T = np.zeros((len(count), 3, 3))
+    T[:, 0, 0] = T[:, 1, 1] = scale
+    T[:, :2, 2] = -scale[:, None] * centre
+    T[:, 2, 2] = 1.0
+    return T, centred * scale[corners.view, None]

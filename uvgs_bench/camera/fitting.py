@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.camera.boards import BoardMiss, BoardView
-from uvgs_bench.camera.bundle import Bundle, Corners, adjust, lens_information, refine_poses
+from uvgs_bench.camera.bundle import Bundle, Corners, adjust, information, refine_poses
 from uvgs_bench.camera.bundle_start import start
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.lens import LENSES, Lens
@@ -195,9 +195,9 @@ def _covariance(bundle: Bundle, corners: Corners) -> tuple[FloatArray, float]:
     residuals = bundle.residuals_px(corners)
     unknowns = bundle.lens.parameters.size + 6 * corners.view_count
     variance = float((residuals**2).sum()) / (residuals.size - unknowns)
-    information = lens_information(bundle, corners)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = scale[:, None] * information * scale
+    S = information(bundle, corners).reduced.sum(axis=0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))
+    scaled = scale[:, None] * S * scale
     eigenvalues, vectors = np.linalg.eigh(scaled)
     if not eigenvalues[0] > 1e-15 * eigenvalues[-1]:
         raise TooFewViews(
