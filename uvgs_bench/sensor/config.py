@@ -66,7 +66,7 @@ class UvgsConfig:
     gain_e_per_dn: float = 40.0
     correspondence: Literal["scored", "paper"] = "scored"
     min_margin: float = 4.0
-    max_chance_fits: float = 0.4
+    max_chance_fits: float = 0.5
     model_error_px: float = 0.15
     max_chi2_per_dof: float = 7.0
     max_rms_px: float = 2.0

@@ -41,6 +41,7 @@ class LedMatch:
             than expected the best fits; for four LEDs the ratio of their costs plus two. inf without runner-up.
         runner_up: The best truly different pose, or None.
         chance_fits: How many fits as likely as this one random lights would give; 0 where it was not asked.
+        needs_prior: Whether only three LEDs are named, so that a prior must be fused.
     """
 
     blob_of_led: NDArray[np.int64]
@@ -48,6 +49,14 @@ class LedMatch:
     margin: float
     runner_up: Pose | None
     chance_fits: float = 0.0
+    needs_prior: bool = False
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """What a user should know about the pose that comes of it."""
+        if self.needs_prior:
+            return ("three_leds_with_prior",)
+        return ("weak_evidence",) if self.is_weak else ()
 
     @property
     def is_weak(self) -> bool:

@@ -25,6 +25,8 @@ class PoseEstimate:
         blob_count: Number of candidate blobs after selection.
         runner_up: The best truly different pose, or None.
         stage_s: Duration of each stage, s, by stage name.
+        flags: What a user should know: ``weak_evidence`` (chance could fit as well had an LED been hidden and a glint
+            stood in its stead), ``three_leds_with_prior`` (no redundancy; the prior is fused into the pose).
     """
 
     camera_from_beacon: Pose
@@ -38,6 +40,7 @@ class PoseEstimate:
     blob_count: int
     runner_up: Pose | None = None
     stage_s: dict[str, float] = field(default_factory=dict)
+    flags: tuple[str, ...] = ()
 
     @property
     def position_covariance_m2(self) -> FloatArray:

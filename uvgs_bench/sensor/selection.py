@@ -13,7 +13,7 @@ from uvgs_bench.sensor.config import UvgsConfig
 
 HUES_DEG: dict[str, tuple[float, float]] = {"red": (330.0, 30.0), "green": (80.0, 160.0), "blue": (200.0, 270.0)}
 _WHITE_SATURATION = 0.35
-_NEEDED = 4
+NEEDED = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,9 @@ def distance_bounds(positions_m: FloatArray, focal_px: float, config: UvgsConfig
     return DistanceBounds(config.min_separation_px, focal_px * longest / config.min_range_m)
 
 
-def select_blobs(blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConfig) -> Blobs | NoBlobs:
+def select_blobs(
+    blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConfig, needed: int = NEEDED
+) -> Blobs | NoBlobs:
     """Keep what can be an LED.
 
     Args:
@@ -52,6 +54,7 @@ def select_blobs(blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConf
         beacon: Its hue and dimensions.
         focal_px: Focal length, px.
         config: Gates.
+        needed: Fewest blobs worth going on with: 4, or 3 when there is a prior.
 
     Returns:
         The candidates, brightest first, or why there are too few or too many.
@@ -74,22 +77,22 @@ def select_blobs(blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConf
     bounds = distance_bounds(beacon.positions_m, focal_px, config)
     kept = blobs.take(np.flatnonzero(keep))
     kept = kept.take(np.argsort(-kept.peak_dn * kept.area_px2, kind="stable"))
-    if len(kept) < _NEEDED:
-        return _too_few(kept, blobs, dropped)
-    near = _distance_gate(kept.centroid_px, bounds)
+    if len(kept) < needed:
+        return _too_few(kept, blobs, dropped, needed)
+    near = _distance_gate(kept.centroid_px, bounds, needed)
     if not near.all():
         dropped.append(f"{int((~near).sum())} by distance")
         kept = kept.take(np.flatnonzero(near))
-    if len(kept) < _NEEDED:
-        return _too_few(kept, blobs, dropped)
+    if len(kept) < needed:
+        return _too_few(kept, blobs, dropped, needed)
     if len(kept) > config.max_blobs:
         return NoBlobs("selection", "too_many_blobs", f"{len(kept)} candidates, at most {config.max_blobs}")
     return kept
 
 
-def _too_few(kept: Blobs, blobs: Blobs, dropped: list[str]) -> NoBlobs:
+def _too_few(kept: Blobs, blobs: Blobs, dropped: list[str], needed: int) -> NoBlobs:
     why = f" (dropped {', '.join(dropped)})" if dropped else ""
-    return NoBlobs("selection", "too_few_blobs", f"{len(kept)} of {len(blobs)} blobs kept, needs {_NEEDED}{why}")
+    return NoBlobs("selection", "too_few_blobs", f"{len(kept)} of {len(blobs)} blobs kept, needs {needed}{why}")
 
 
 def _hue_gate(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -109,12 +112,14 @@ def _hue_gate(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> np.ndarray[tu
     return np.asarray(inside, dtype=bool)
 
 
-def _distance_gate(centroid_px: FloatArray, bounds: DistanceBounds) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Drop a blob too near to a brighter one, and one that has fewer than three others within reach."""
+def _distance_gate(
+    centroid_px: FloatArray, bounds: DistanceBounds, needed: int
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Drop a blob too near to a brighter one, and one that has too few others within reach."""
     n = len(centroid_px)
     distance = np.linalg.norm(centroid_px[:, None] - centroid_px[None], axis=2)
     keep = np.ones(n, dtype=bool)
     for i in range(1, n):
         keep[i] = not (keep[:i] & (distance[i, :i] < bounds.low_px)).any()
     reach = (distance <= bounds.high_px) & keep[None]
-    return np.asarray(keep & (reach.sum(axis=1) >= _NEEDED), dtype=bool)
+    return np.asarray(keep & (reach.sum(axis=1) >= needed), dtype=bool)

@@ -12,10 +12,12 @@ from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.sensor.blobs import Blobs, NoBlobs, find_blobs
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.correspondence import LedMatch, LedTable, NoMatch, match_leds
+from uvgs_bench.sensor.correspondence import LedMatch, LedTable, NoMatch
+from uvgs_bench.sensor.looks import looks_of
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
-from uvgs_bench.sensor.selection import select_blobs
+from uvgs_bench.sensor.selection import NEEDED, select_blobs
 from uvgs_bench.sensor.solution import Solution, solver
+from uvgs_bench.sensor.three_leds import fuse, match_with_prior
 from uvgs_bench.sensor.validation import check_solution
 
 
@@ -84,19 +86,24 @@ class Uvgs:
         lap("blobs")
         if isinstance(blobs, NoBlobs):
             return miss(blobs.stage, blobs.reason, blobs.detail, 0)
-        chosen = select_blobs(blobs, self.beacon, lens.fx_px, self.config)
+        needed = NEEDED if prior is None else NEEDED - 1
+        chosen = select_blobs(blobs, self.beacon, lens.fx_px, self.config, needed)
         lap("selection")
         if isinstance(chosen, NoBlobs):
             return miss(chosen.stage, chosen.reason, chosen.detail, len(blobs))
         judged = np.hypot(chosen.sigma_px, self.config.model_error_px)
-        match = match_leds(chosen.centroid_px, judged, lens, self._leds, self.config, prior)
+        looks = looks_of(capture.image, chosen)
+        match = match_with_prior(chosen.centroid_px, judged, lens, self._leds, self.config, prior, looks)
         lap("correspondence")
         if isinstance(match, NoMatch):
             return miss("correspondence", match.reason, match.detail, len(chosen))
         seen = np.flatnonzero(match.blob_of_led >= 0)
         picked = match.blob_of_led[seen]
         points, px, sigma = self._leds.positions_m[seen], chosen.centroid_px[picked], chosen.sigma_px[picked]
-        solution = self._solve(lens, points, px, sigma, match.start, self.config.max_iterations)
+        if match.needs_prior and prior is not None:
+            solution = fuse(lens, points, px, sigma, match.start, prior)
+        else:
+            solution = self._solve(lens, points, px, sigma, match.start, self.config.max_iterations)
         lap("solve")
         refusal = check_solution(solution, points, sigma, self._leds, seen, lens, self.beacon, self.config)
         if refusal is None:
@@ -153,6 +160,7 @@ class Uvgs:
             len(chosen),
             match.runner_up,
             stage_s,
+            match.flags,
         )
 
     def _beacon_part(
