@@ -46,6 +46,12 @@ class ConfigError(UvgsError):
         self.key = key
 
 
+class UnreadableDocument(ConfigError):
+    """A document is not there or cannot be read, whatever it says."""
+
+    exit_code = ExitCode.INPUT
+
+
 class FrameMismatch(UvgsError):
     """Two poses were composed whose frames do not meet."""
 

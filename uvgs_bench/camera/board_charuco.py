@@ -27,6 +27,11 @@ def points(board: Board) -> FloatArray:
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * board.square_m
 
 
+def check(board: Board) -> None:
+    """Raises CalibrationError when the dictionary is unknown or too small."""
+    _opencv_board(board, board.legacy)
+
+
 def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
     """Find the visible corners with their numbers, or say why not."""
     first, second = _detect(grey, board, board.legacy)

@@ -27,6 +27,10 @@ def points(board: Board) -> FloatArray:
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * board.square_m
 
 
+def check(board: Board) -> None:
+    """Every chessboard can exist."""
+
+
 def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
     """Find all inner corners, or say why not."""
     px = _find_size(grey, board.columns, board.rows)

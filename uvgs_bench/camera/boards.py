@@ -1,6 +1,6 @@
 """Calibration boards: what they are, where their points lie, and how to find them in a picture.
 
-To add a kind: 1. write a file with the three functions of ``BoardKind``; 2. add one line to ``BOARDS``; 3. the contract
+To add a kind: 1. write a file with the four functions of ``BoardKind``; 2. add one line to ``BOARDS``; 3. the contract
 tests of ``tests/unit/camera`` then run over it.
 
 Contract: ``points`` gives every point of the board in the board frame (x along columns, y along rows, z into the
@@ -30,6 +30,7 @@ BOARDS: dict[str, str] = {
 }
 # Fewer points than this cannot hold a pose and a doubt.
 MIN_POINTS = 8
+_MOST_POINTS = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +123,10 @@ class BoardKind(Protocol):
         """All points in the board frame, shape (N, 3), m."""
         ...
 
+    def check(self, board: Board) -> None:
+        """Raise CalibrationError when no such board can exist."""
+        ...
+
     def find(self, grey: GreyImage, board: Board) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
         """Pixels (N, 2) with the indices of their points, or reason and detail."""
         ...
@@ -133,6 +138,20 @@ class BoardKind(Protocol):
 
 def _kind(board: Board) -> BoardKind:
     return cast(BoardKind, importlib.import_module(BOARDS[board.kind]))
+
+
+def check_board(board: Board) -> None:
+    """Refuse a board that is declared well but cannot exist, before pictures are read.
+
+    Args:
+        board: The board as declared.
+
+    Raises:
+        CalibrationError: The marker dictionary is unknown or has too few markers.
+    """
+    if board.columns * board.rows > _MOST_POINTS:
+        raise CalibrationError(f"a board of {board.columns}x{board.rows} is larger than any print")
+    _kind(board).check(board)
 
 
 def find_board(image: NDArray[np.generic], board: Board, name: str = "") -> BoardView | BoardMiss:

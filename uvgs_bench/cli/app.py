@@ -27,6 +27,7 @@ COMMANDS: dict[str, str] = {
     "camera": "uvgs_bench.cli.camera:app",
     "beacon": "uvgs_bench.cli.beacon:app",
     "run": "uvgs_bench.cli.run:run",
+    "tune": "uvgs_bench.cli.tune:tune",
     "gantry": "uvgs_bench.cli.gantry:app",
     "gantry-sweep": "uvgs_bench.cli.gantry_sweep:gantry_sweep",
     "register": "uvgs_bench.cli.register:register",
@@ -105,11 +106,13 @@ def _exit_code(arguments: list[str]) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _said(f"{where}{error.strerror or error}", int(ExitCode.INPUT))
     except Exception as error:
-        show = getattr(error, "show", None)
-        if show is None:
+        complaint = getattr(error, "format_message", None)
+        if complaint is None:
             raise
-        show()
-        return int(getattr(error, "exit_code", ExitCode.USAGE))
+        # Empty when a group of commands stands alone: then its help page was printed already.
+        text = complaint().rstrip(".")
+        where = getattr(getattr(error, "ctx", None), "command_path", "uvgs")
+        return _said(f"{text}; see {where} --help" if text else "", int(ExitCode.USAGE))
     return int(ExitCode.DONE)
 
 
@@ -124,9 +127,10 @@ def _flushed(code: int) -> int:
 
 
 def _said(text: str, code: int) -> int:
-    from uvgs_bench.cli.console import print_error
+    if text:
+        from uvgs_bench.cli.console import print_error
 
-    print_error(text)
+        print_error(text)
     try:
         sys.stdout.flush()
     except OSError:

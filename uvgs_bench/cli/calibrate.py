@@ -36,9 +36,9 @@ def calibrate(
     from uvgs_bench.sessions.calibrate import calibrate_from_source
     from uvgs_bench.store.boards import read_board
     from uvgs_bench.store.calibrations import write_calibration
+    from uvgs_bench.store.documents import check_writable
 
-    if out.exists() and not force:
-        raise ConfigError("exists already; use --force to replace it", str(out))
+    check_writable(out, force=force)
     if model not in LENSES:
         raise ConfigError(f"unknown lens model '{model}', expected one of {', '.join(LENSES)}", "--model")
     if glob:
@@ -54,11 +54,13 @@ def calibrate(
             reject_outliers=not no_reject,
             limit=limit,
         )
+    if not as_json:
+        # Before writing, so that a full disk takes the file but not the numbers.
+        _show(result)
     write_calibration(out, result.calibration, force=force)
     if as_json:
         emit_json(_summary(result, out))
         return
-    _show(result)
     print_path("written", out)
 
 

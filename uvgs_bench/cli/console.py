@@ -22,8 +22,9 @@ class _PipedConsole(Console):
         raise BrokenPipeError
 
 
-console = Console(stderr=True, highlight=False)
-out = _PipedConsole(highlight=False)
+# No emoji: a source named uvc:x: must not turn into a cross.
+console = Console(stderr=True, highlight=False, emoji=False)
+out = _PipedConsole(highlight=False, emoji=False)
 
 _VERDICT_STYLE = {"pass": "bold green", "fail": "bold red", "inconclusive": "bold yellow"}
 

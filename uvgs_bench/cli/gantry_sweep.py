@@ -38,7 +38,7 @@ def gantry_sweep(
     Ctrl-C stops the motion first, closes the run properly and says how to resume it.
     """
     from uvgs_bench.cli.console import progress_sink
-    from uvgs_bench.errors import ConfigError
+    from uvgs_bench.errors import ConfigError, UnreadableDocument
     from uvgs_bench.sessions.bench_setup import read_setup, read_setup_of, resume, sweep
     from uvgs_bench.sessions.planning import plan
     from uvgs_bench.sessions.procedure import read_procedure
@@ -62,7 +62,7 @@ def gantry_sweep(
     if procedure is None:
         raise ConfigError("name a procedure file, for example procedures/demo_grid.toml", key="PROCEDURE")
     if bench is None and not DEFAULT_BENCH.exists():
-        raise ConfigError(
+        raise UnreadableDocument(
             "no bench file here: make a workspace with uvgs init, or name one with --bench", str(DEFAULT_BENCH)
         )
     bench = bench or DEFAULT_BENCH

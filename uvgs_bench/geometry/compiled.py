@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar, cast
+from collections.abc import Callable, Iterator
+from types import FunctionType, ModuleType
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -22,7 +23,34 @@ def compiled(function: Kernel) -> Kernel:
         The compiled function with the same signature.
     """
     try:
-        return cast(Kernel, numba.njit(cache=True, nogil=True)(function))
+        kernel: Any = numba.njit(cache=True, nogil=True)(function)
     except RuntimeError:
         # Numba finds no place for its cache, as in a container without a home.
         return cast(Kernel, numba.njit(nogil=True)(function))
+    _notice_changed_callees(kernel)
+    return cast(Kernel, kernel)
+
+
+def _notice_changed_callees(kernel: Any) -> None:
+    """Let a cached kernel expire when a kernel it calls has changed.
+
+    Numba looks only at the kernel's own file, but the machine code of its callees in other files is inlined: after an
+    update of one file the old code would go on giving old numbers.
+    """
+    try:
+        file = kernel._cache._cache_file
+        stamps = {callee._cache._cache_file._source_stamp for callee in _callees(kernel.py_func)}
+        file._source_stamp = (file._source_stamp, *sorted(stamps, key=repr))
+    except AttributeError:
+        return  # another numba than those tested, built otherwise inside; its own rules hold
+
+
+def _callees(function: FunctionType) -> Iterator[Any]:
+    """The cached kernels a function names, as ``kernel`` or as ``module.kernel``."""
+    names = function.__code__.co_names
+    for name in names:
+        value = function.__globals__.get(name)
+        found = [getattr(value, other, None) for other in names] if isinstance(value, ModuleType) else [value]
+        for candidate in found:
+            if hasattr(getattr(candidate, "_cache", None), "_cache_file"):
+                yield candidate

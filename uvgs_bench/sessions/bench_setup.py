@@ -18,7 +18,7 @@ from uvgs_bench.devices.cameras.registry import open_camera
 from uvgs_bench.devices.clock import Clock, RealClock
 from uvgs_bench.devices.gantry.gantry import ControllerInfo
 from uvgs_bench.devices.gantry.registry import open_gantry
-from uvgs_bench.errors import ConfigError, RunError
+from uvgs_bench.errors import ConfigError, RunError, UnreadableDocument
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.events import EventSink, ignore_events
@@ -117,7 +117,7 @@ def read_setup(
     planned = plan(read_procedure(procedure).seeded(seed), described.envelope)
     camera_file = Path(described.camera_file) if camera is None else camera
     if not camera_file.exists():
-        raise ConfigError(
+        raise UnreadableDocument(
             "no camera calibration: make one with uvgs calibrate, or name one with --camera", str(camera_file)
         )
     sources = {
@@ -348,7 +348,7 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror or error}", str(path)) from None
+        raise UnreadableDocument(f"cannot be read: {error.strerror or error}", str(path)) from None
 
 
 def _free_folder(folder: Path, name: str) -> Path:

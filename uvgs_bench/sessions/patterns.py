@@ -10,6 +10,7 @@ generator state; it draws from the generator only if the pattern is random; it d
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, cast
@@ -20,6 +21,8 @@ from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.errors import ConfigError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.units import m_from_mm, rad_from_deg
+
+_MOST_PLACES = 100_000
 
 PATTERNS: dict[str, str] = {
     "waypoints": "uvgs_bench.sessions.patterns:Waypoints",
@@ -107,9 +110,9 @@ def axis_vector(values: AxisValues, axes: Sequence[Axis], key: str, default: flo
     return out
 
 
-def _at_least(count: int, least: int, key: str) -> None:
-    if count < least:
-        raise ConfigError(f"must be at least {least}, got {count}", key=key)
+def _check_count(count: int, least: int, key: str) -> None:
+    if not least <= count <= _MOST_PLACES:
+        raise ConfigError(f"must be {least} to {_MOST_PLACES}, got {count}", key=key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +127,7 @@ class Waypoints:
 
     def points(self, axes: Sequence[Axis], rng: np.random.Generator) -> FloatArray:
         """See ``Pattern``."""
-        _at_least(len(self.at), 1, "waypoints.at")
+        _check_count(len(self.at), 1, "waypoints.at")
         return np.array([axis_vector(values, axes, f"waypoints.at.{i}") for i, values in enumerate(self.at)])
 
 
@@ -144,7 +147,7 @@ class Line:
 
     def points(self, axes: Sequence[Axis], rng: np.random.Generator) -> FloatArray:
         """See ``Pattern``."""
-        _at_least(self.count, 2, "line.count")
+        _check_count(self.count, 2, "line.count")
         start, end = axis_vector(self.start, axes, "line.start"), axis_vector(self.end, axes, "line.end")
         return np.linspace(start, end, self.count)
 
@@ -175,8 +178,11 @@ class Grid:
             if axis.name not in self.counts:
                 raise ConfigError("this axis is required", key=f"grid.counts.{axis.name}")
             count = self.counts[axis.name]
-            _at_least(count, 1, f"grid.counts.{axis.name}")
+            _check_count(count, 1, f"grid.counts.{axis.name}")
             columns.append(np.array([0.5 * (low + high)]) if count == 1 else np.linspace(low, high, count))
+        total = math.prod(len(column) for column in columns)
+        if total > _MOST_PLACES:
+            raise ConfigError(f"must give at most {_MOST_PLACES} places together, got {total}", key="grid.counts")
         return np.stack(np.meshgrid(*columns, indexing="ij"), axis=-1)
 
 
@@ -198,7 +204,7 @@ class Square:
 
     def points(self, axes: Sequence[Axis], rng: np.random.Generator) -> FloatArray:
         """See ``Pattern``."""
-        _at_least(self.points_per_side, 1, "square.points_per_side")
+        _check_count(self.points_per_side, 1, "square.points_per_side")
         if not (np.isfinite(self.side_mm) and self.side_mm > 0.0):
             raise ConfigError(f"must be positive, got {self.side_mm}", key="square.side_mm")
         linear = [axis.name for axis in axes if axis.kind == "linear"]
@@ -237,7 +243,7 @@ class Ladder:
 
     def points(self, axes: Sequence[Axis], rng: np.random.Generator) -> FloatArray:
         """See ``Pattern``."""
-        _at_least(self.count, 2, "ladder.count")
+        _check_count(self.count, 2, "ladder.count")
         if not self.widening_ratio > 0.0:
             raise ConfigError(f"must be positive, got {self.widening_ratio}", key="ladder.widening_ratio")
         start, end = axis_vector(self.start, axes, "ladder.start"), axis_vector(self.end, axes, "ladder.end")
@@ -266,6 +272,6 @@ class RandomVolume:
 
     def points(self, axes: Sequence[Axis], rng: np.random.Generator) -> FloatArray:
         """See ``Pattern``."""
-        _at_least(self.count, 1, "random.count")
+        _check_count(self.count, 1, "random.count")
         lower, upper = axis_vector(self.lower, axes, "random.lower"), axis_vector(self.upper, axes, "random.upper")
         return lower + rng.random((self.count, len(axes))) * (upper - lower)

@@ -103,7 +103,10 @@ def plan(procedure: Procedure, envelope: Envelope) -> Plan:
         if error.path or not procedure.path:
             raise
         raise ConfigError(str(error), procedure.path) from None
-    distance_m, duration_s = _checked_moves(procedure, envelope, stations)
+    try:
+        distance_m, duration_s = _checked_moves(procedure, envelope, stations)
+    except EnvelopeError as error:
+        raise EnvelopeError(f"{procedure.path}: {error}" if procedure.path else str(error), error.axis) from None
     return Plan(
         procedure=procedure,
         stations=stations,

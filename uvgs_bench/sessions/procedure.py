@@ -16,6 +16,7 @@ from uvgs_bench.units import mps_from_mm_min, radps_from_deg_min
 
 SCHEMA = 1
 # Captures of a station are held in memory until the carriage is known not to have moved meanwhile.
+_MOST_REPEATS = 1000
 _MOST_CAPTURES = 200
 
 Origin = Literal["machine", "centre"]
@@ -133,8 +134,8 @@ class Procedure:
             raise self.error(f"must not be negative, got {self.settle_s}", "settle_s")
         if not 1 <= self.captures_per_station <= _MOST_CAPTURES:
             raise self.error(f"must be 1 to {_MOST_CAPTURES}, got {self.captures_per_station}", "captures_per_station")
-        if self.repeats < 1:
-            raise self.error(f"must be at least 1, got {self.repeats}", "repeats")
+        if not 1 <= self.repeats <= _MOST_REPEATS:
+            raise self.error(f"must be 1 to {_MOST_REPEATS}, got {self.repeats}", "repeats")
         if self.reference_every < 0:
             raise self.error(f"must not be negative, got {self.reference_every}", "reference_every")
         if self.seed < 0:
@@ -213,5 +214,7 @@ def _limits(limits: Mapping[str, float], path: str) -> tuple[Limit, ...]:
             raise ConfigError(f"unknown quantity{hint}", path, key)
         if not 0.0 <= value < float("inf"):
             raise ConfigError(f"must not be negative, got {value}", path, key)
+        if quantity.endswith("_percent") and value > 100.0:
+            raise ConfigError(f"must be at most 100, got {value}", path, key)
         out.append(Limit.of(quantity, value))
     return tuple(out)

@@ -14,6 +14,7 @@ from uvgs_bench.errors import ConfigError
 from uvgs_bench.store.documents import read_document, write_atomically
 from uvgs_bench.units import deg_from_rad, m2_from_mm2, m_from_mm, mm2_from_m2, mm_from_m, rad_from_deg
 
+_FARTHEST_MM = 100_000.0  # no beacon is larger; a slip of the unit is
 HUE_NAMES = ("any", "red", "green", "blue", "white")
 
 
@@ -36,8 +37,8 @@ class LedEntry:
     diameter_mm: float | None = None
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.position_mm).all():
-            raise ValueError(f"LED {self.name}: position_mm must be finite")
+        if not np.all(np.abs(self.position_mm) <= _FARTHEST_MM):
+            raise ValueError(f"LED {self.name}: position_mm must be within {_FARTHEST_MM:.0f} mm of the origin")
         if self.half_angle_deg is not None and not 0.0 < self.half_angle_deg <= 180.0:
             raise ValueError(f"LED {self.name}: half_angle_deg must be in (0, 180], got {self.half_angle_deg}")
         if self.half_angle_deg is not None and self.axis is None:

@@ -26,6 +26,8 @@ def read_bench(path: Path) -> Bench:
         ConfigError: As ``read_document``, or axes and keep-out boxes that cannot be meant.
     """
     file = read_document(path, BenchFile)
+    if not file.gantry.homing_timeout_s > 0.0:
+        raise ConfigError(f"must be positive, got {file.gantry.homing_timeout_s}", str(path), "gantry.homing_timeout_s")
     try:
         envelope = file.gantry.envelope()
     except ValueError as error:

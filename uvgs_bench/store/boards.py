@@ -6,10 +6,12 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
-from uvgs_bench.camera.boards import BOARDS, Board
+from uvgs_bench.camera.boards import BOARDS, Board, check_board
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.store.documents import read_document
 from uvgs_bench.units import m_from_mm
+
+_LONGEST_MM = 10_000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +63,16 @@ def read_board(path: Path | str) -> Board:
             raise ConfigError(f"a {read.kind} board needs this key", str(path), key)
         if not has_markers and value:
             raise ConfigError(f"a {read.kind} board has no markers", str(path), key)
+    for key in ("square_mm", "marker_mm"):
+        length_mm = getattr(read, key)
+        if length_mm is not None and not 0.0 < length_mm <= _LONGEST_MM:
+            raise ConfigError(f"must be between 0 and {_LONGEST_MM:.0f}, got {length_mm}", str(path), key)
+    if has_markers and read.marker_mm is not None and read.marker_mm >= read.square_mm:
+        raise ConfigError(
+            f"must be less than square_mm = {read.square_mm}, got {read.marker_mm}", str(path), "marker_mm"
+        )
     try:
-        return Board(
+        board = Board(
             read.name,
             read.kind,
             read.columns,
@@ -72,5 +82,7 @@ def read_board(path: Path | str) -> Board:
             read.dictionary,
             read.legacy,
         )
+        check_board(board)
     except CalibrationError as error:
         raise ConfigError(str(error), str(path)) from None
+    return board

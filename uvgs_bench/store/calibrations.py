@@ -17,7 +17,7 @@ from uvgs_bench.camera import LENSES, Lens
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.store.documents import parse_document, write_atomically
+from uvgs_bench.store.documents import parse_document, read_text, write_atomically
 
 _SCHEMA = 1
 # Names other writers use, and the lens they mean by the number of coefficients.
@@ -79,7 +79,8 @@ def read_calibration(path: Path | str) -> Calibration:
         The calibration.
 
     Raises:
-        ConfigError: The file is missing, no YAML, lacks a key, has skew, an unknown model, or a number of coefficients
+        UnreadableDocument: The file is missing or unreadable.
+        ConfigError: The file is no YAML, lacks a key, has skew, an unknown model, or a number of coefficients
             the model does not have. The message names file and key.
     """
     path = Path(path)
@@ -171,14 +172,11 @@ def _read_yaml(path: Path) -> dict[str, object]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
+    text = read_text(path, "a camera_info YAML file")
+    if "!!opencv-matrix" in text:
+        raise ConfigError("is OpenCV's own storage format, expected a camera_info YAML file", str(path))
     try:
-        data = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError("no such file", str(path)) from None
-    except IsADirectoryError:
-        raise ConfigError("is a folder, expected a camera_info YAML file", str(path)) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot be read: {error}", str(path)) from None
+        data = YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
         raise ConfigError(f"not valid YAML: {' '.join(str(error).split())[:160]}", str(path)) from None
     if not isinstance(data, dict):

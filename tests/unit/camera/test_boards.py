@@ -165,7 +165,7 @@ def test_example_boards_can_be_read(name):
         ("square_mm = 30.0", "square_m = 0.03", "square_m", "did you mean 'square_mm'"),
         ('kind = "charuco"', 'kind = "charucco"', "kind", "did you mean 'charuco'"),
         ("marker_mm = 22.0", "", "marker_mm", "needs this key"),
-        ("marker_mm = 22.0", "marker_mm = 32.0", "", "marker side"),
+        ("marker_mm = 22.0", "marker_mm = 32.0", "marker_mm", "must be less"),
         ('kind = "charuco"', 'kind = "chessboard"', "marker_mm", "no markers"),
         ("schema = 1", "schema = 9", "schema", "expected 1"),
     ],

@@ -109,7 +109,7 @@ def test_four_coefficients_and_the_old_fisheye_name_are_understood(tmp_path):
         ("1105.31, 0.0,", "1105.31, 0.3,", "camera_matrix", "skew"),
         ("1105.31, 0.0,", "0.0, 0.0,", "camera_matrix", "never calibrated"),
         ("image_width: 1280\n", "", "image_width", "required"),
-        ("image_width: 1280\n", "image_width: wide\n", "image_width", "integer"),
+        ("image_width: 1280\n", "image_width: wide\n", "image_width", "whole number"),
         ("1105.31, 0.0,", "-5.0, 0.0,", "camera_matrix", "positive"),
     ],
 )

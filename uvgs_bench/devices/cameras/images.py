@@ -46,10 +46,12 @@ class ImageFolder(ClosingSource):
             ConfigError: An option is unknown, or the pattern leaves the folder.
         """
         spec.check_options(("glob",))
+        if not spec.target:
+            raise ConfigError("name the folder, images:. for this one", spec.text)
         folder = Path(spec.target)
         if not folder.is_dir():
             problem = "is no folder" if folder.exists() else "no such folder"
-            raise CaptureError(f"{problem}, expected a folder of pictures", spec.target or spec.text)
+            raise CaptureError(f"{problem}, expected a folder of pictures", spec.target)
         pattern = spec.options.get("glob", "*")
         try:
             found = list(folder.glob(pattern))

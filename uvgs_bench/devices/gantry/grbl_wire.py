@@ -120,4 +120,7 @@ def _why_not_open(error: Exception) -> str:
         return "no permission to open the port; is the user in the group that owns it (dialout)?"
     if number in (errno.EBUSY, errno.EAGAIN):
         return "the port is in use by another program"
+    # Pyserial keeps no number when a file or a null device refuses the settings of a line.
+    if number == errno.EISDIR or "configure port" in str(error):
+        return "is no serial port; `uvgs doctor` lists the ports"
     return f"the port cannot be opened: {' '.join(str(error).split())}"

@@ -147,6 +147,9 @@ class Glints:
     peak_dn: float = 120.0
     sigma_px: float = 1.2
 
+    def __post_init__(self) -> None:
+        _check_probability(self.probability)
+
 
 @dataclass(frozen=True, slots=True)
 class Occlusion:
@@ -159,6 +162,14 @@ class Occlusion:
 
     probability: float = 0.0
     leds: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _check_probability(self.probability)
+
+
+def _check_probability(value: float) -> None:
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"probability must be 0 to 1, got {value}")
 
 
 @dataclass(frozen=True, slots=True)
