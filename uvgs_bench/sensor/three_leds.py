@@ -25,6 +25,10 @@ from uvgs_bench.sensor.solvers.lambda_twist import solve_p3p
 # More lights than this make chance triples near the prior too likely to be worth a search.
 _MOST_BLOBS = 8
 _FUSION_STEPS = 10
+# Poses beyond the reach of a prior still count as rivals up to here.
+_RIVAL_REACH2 = 40.0
+# Nothing checks the choice of a root, so it needs this many times the margin four LEDs need.
+_STRICTER = 2.0
 
 
 def step_covariance(prior: PoseEstimate) -> FloatArray:
@@ -124,7 +128,7 @@ def match_three(
             pose = Pose(Rs[i], ts[i], "camera", "beacon")
             xi = _step(pose, last)
             cost = float(xi @ information @ xi)
-            if cost > PRIOR_REACH2 or not step_from(prior, pose)[0]:
+            if cost > _RIVAL_REACH2:
                 continue
             assignment = np.full(n, -1, dtype=np.int64)
             assignment[names] = blobs
@@ -133,16 +137,20 @@ def match_three(
                 leds.exponent,
             )  # fmt: skip
             found.append((cost, pose, assignment))
-    if not found:
-        return NoMatch("no_labeling", f"no pose from three of {m} blobs lies near the prior")
     found.sort(key=lambda item: item[0])
+    if not found or found[0][0] > PRIOR_REACH2:
+        return NoMatch("no_labeling", f"no pose from three of {m} blobs lies near the prior")
     cost, pose, assignment = found[0]
     rival = next((item for item in found[1:] if is_different(pose, item[1])), None)
     if rival is None:
         return LedMatch(assignment, pose, np.inf, None, needs_prior=True)
     margin = 1.0 + 0.5 * (rival[0] - cost)
-    if margin < config.min_margin:
-        return NoMatch("ambiguous", f"two poses from three LEDs lie near the prior: margin {margin:.2f}")
+    if margin < _STRICTER * config.min_margin:
+        return NoMatch(
+            "ambiguous",
+            f"two poses from three LEDs lie near the prior: margin {margin:.2f}, "
+            f"needs {_STRICTER * config.min_margin:.2f}",
+        )
     return LedMatch(assignment, pose, margin, rival[1], needs_prior=True)
 
 
