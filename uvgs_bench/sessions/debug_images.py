@@ -178,7 +178,7 @@ class _Pen:
         import cv2
 
         a, b = self.at(box_px[:2] - margin), self.at(box_px[2:] + margin)
-        cv2.rectangle(self.canvas, a, b, colour, 1, cv2.LINE_AA)
+        cv2.rectangle(self.canvas, a, b, colour, 1)
 
     def text(self, px: FloatArray, words: str, colour: Colour, dx: int = 0, dy: int = 0, size: float = 0.5) -> None:
         x, y = self.at(px)
