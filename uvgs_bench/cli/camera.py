@@ -1,4 +1,4 @@
-"""``uvgs camera``: look at camera files."""
+"""``uvgs camera``: look at camera files, convert them."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uvgs_bench.cli.options import Json
+from uvgs_bench.cli.options import Force, Json
+from uvgs_bench.errors import ConfigError
 
 if TYPE_CHECKING:
     from uvgs_bench.camera import Calibration, Lens
 
-app = typer.Typer(no_args_is_help=True, help="Look at camera files.")
+app = typer.Typer(no_args_is_help=True, help="Look at camera files, convert them.")
 
 
 @app.callback()
 def camera() -> None:
-    """Look at camera files."""
+    """Look at camera files, convert them."""
 
 
 @app.command("show")
@@ -34,6 +35,66 @@ def show(
         emit_json(_summary(calibration))
         return
     _print(calibration)
+
+
+@app.command("convert")
+def convert(
+    path: Annotated[Path, typer.Argument(help="Camera file: ROS, Kalibr, OpenCV, mrcal, COLMAP or Astrobee.")],
+    out: Annotated[Path, typer.Argument(help="File to write; its ending chooses the format unless --to does.")],
+    to: Annotated[str, typer.Option("--to", help="uvgs, ros, kalibr, opencv, mrcal, colmap or astrobee.")] = "",
+    refit: Annotated[
+        str, typer.Option("--refit", help="Refit to this lens over the covered field, and say how far off it is.")
+    ] = "",
+    camera_name: Annotated[str, typer.Option("--camera", help="Which camera, where the file holds several.")] = "",
+    size: Annotated[str, typer.Option("--size", help="Picture size WxH in px, where the file does not say it.")] = "",
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Convert a camera file, exactly or not at all; an approximation must be asked for with --refit."""
+    from rich.markup import escape
+
+    from uvgs_bench.cli.console import emit_json, print_path
+    from uvgs_bench.cli.console import out as printed
+    from uvgs_bench.sessions.camera_tools import convert_camera
+
+    done = convert_camera(
+        path, out, target=to, refit_model=refit, camera=camera_name, size_px=_size_px(size), force=force
+    )
+    fit, lens = done.refit, done.written.lens
+    if as_json:
+        emit_json(
+            {
+                "camera": str(done.path),
+                "format": done.target,
+                "model": lens.model,
+                "parameters": dict(zip(lens.parameter_names, lens.parameters.tolist(), strict=True)),
+                "exact": fit is None,
+                "rms_px": 0.0 if fit is None else fit.rms_px,
+                "max_px": 0.0 if fit is None else fit.max_px,
+                "covered_share": None if fit is None else fit.covered_share,
+                "remarks": list(done.remarks),
+            }
+        )
+        return
+    if fit is None:
+        printed.print(f"{done.source.lens.model} as {lens.model} in {done.target}: exact")
+    else:
+        printed.print(
+            f"{done.source.lens.model} refitted as {lens.model}: RMS {fit.rms_px:.4f} px, "
+            f"at most {fit.max_px:.4f} px off, over {100.0 * fit.covered_share:.1f} % of the picture"
+        )
+    for remark in done.remarks:
+        printed.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
+    print_path("written", done.path)
+
+
+def _size_px(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
+        raise ConfigError(f"'{text}' is no picture size, expected for example 1280x960", "--size")
+    return int(width), int(height)
 
 
 def _field_of_view_deg(lens: Lens) -> dict[str, float | None]:
