@@ -6,7 +6,7 @@ LED names, residual arrows, the beacon's axes, the runner-up. Beside it: each li
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ _HEADER_PX, _LEGEND_PX, _SIDE_PX, _INSET_PX = 84, 30, 216, 196
 _INSETS = 4
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 960, 1600
 _ARROW_PX = 45.0
+_GREATEST_AREA_PX2 = 1e6
 _BAR = (38, 34, 30)
 # Dim things become visible; the pixels of a debug image are not for measuring.
 _GAMMA = 0.55
@@ -104,13 +105,15 @@ def draw_debug_image(capture: Capture, outcome: Outcome, uvgs: Uvgs) -> Picture:
     way = cv2.INTER_NEAREST if scale >= 1.0 else cv2.INTER_AREA
     canvas: Picture = cv2.resize(base, size, interpolation=way)
     pen = _Pen(canvas, scale)
-    blobs = find_blobs(capture, uvgs.config)
+    # Lights far beyond the largest area are not even measured in earnest; here they are shown as too large.
+    widest = max(uvgs.config.max_area_px2, _GREATEST_AREA_PX2)
+    blobs = find_blobs(capture, replace(uvgs.config, max_area_px2=widest))
     _draw_bright_places(pen, raw, uvgs.config)
     if not isinstance(blobs, NoBlobs):
         _draw_blobs(pen, blobs, blob_notes(blobs, uvgs), outcome)
     if isinstance(outcome, PoseEstimate):
         _draw_pose(pen, outcome, uvgs)
-    side = _side_bar(base, raw, canvas.shape[0], blobs, outcome, uvgs)
+    side = _side_bar(raw, canvas.shape[0], blobs, outcome, uvgs)
     body = np.hstack([canvas, side])
     return np.vstack([_header(body.shape[1], capture, outcome, uvgs, blobs), body, _legend(body.shape[1])])
 
@@ -327,7 +330,6 @@ def _legend(width: int) -> Picture:
 
 
 def _side_bar(
-    base: Picture,
     raw: NDArray[np.uint8] | NDArray[np.uint16],
     height: int,
     blobs: Blobs | NoBlobs,
@@ -352,8 +354,11 @@ def _side_bar(
         half = _half_side(blobs, px)
         zoom = _INSET_PX / (2 * half + 1)
         column, row = round(float(px[0])), round(float(px[1]))
-        padded = cv2.copyMakeBorder(base, half, half, half, half, cv2.BORDER_CONSTANT, value=_BAR)
-        cut = padded[row : row + 2 * half + 1, column : column + 2 * half + 1]
+        padded = cv2.copyMakeBorder(raw, half, half, half, half, cv2.BORDER_REPLICATE)
+        part = padded[row : row + 2 * half + 1, column : column + 2 * half + 1].astype(np.float32)
+        # From its darkest to its brightest pixel, so that dim lights are seen as well.
+        grey = ((part - part.min()) * (235.0 / max(float(part.max() - part.min()), 1.0))).astype(np.uint8)
+        cut = np.repeat(grey[:, :, None], 3, axis=2)
         inset: Picture = cv2.resize(cut, (_INSET_PX, _INSET_PX), interpolation=cv2.INTER_NEAREST)
         pen = _Pen(inset, zoom)
         corner = np.array([column - half, row - half], dtype=np.float64)

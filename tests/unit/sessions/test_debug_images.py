@@ -43,8 +43,9 @@ def test_a_pose_shows_axes_arrows_and_a_dropped_light(detection, colour):
     body = picture[84:-30, :1280]
     # Nothing in a grey picture has these colours but what is drawn.
     assert count(body, di.RED) > 10
-    assert count(body, di.GREEN) > 100
-    assert count(body, di.ORANGE) > 20
+    assert count(body, di.GREEN) > 60
+    # The mask of the paper shows the wide light; it is too large to be measured as a blob there.
+    assert count(body, di.ORANGE if detection == "fast" else di.BLUE) > 20
     origin = uvgs.calibration.lens.project(outcome.camera_from_beacon.t_m[None])[0]
     x, y = np.round(origin).astype(int)
     assert body[y - 3 : y + 4, x - 3 : x + 4].max() > 200
