@@ -63,7 +63,8 @@ def _settle(
     Newton's method on ``sum w I (u - x) = 0``; its slope is what the error propagation needs as well.
     """
     height, width = patch.shape
-    r = ceil(4.0 * s)
+    # There the product of window and spot is below 1e-5.
+    r = ceil(3.0 * s)
     start_x = x
     start_y = y
     ex = np.empty(width)
@@ -93,23 +94,26 @@ def _settle(
             slope_y += ey * light * (1.0 - curvature * dy * dy)
         if weight <= 0.0:
             break
-        if abs(mx) + abs(my) < 1e-6 * weight:
-            if slope_x <= 0.0 or slope_y <= 0.0:
-                break
+        # Far from a centre the slope may be anything; the plain iteration of the windowed centroid goes half the way.
+        step_x = mx / slope_x if slope_x > 0.25 * weight else 2.0 * mx / weight
+        step_y = my / slope_y if slope_y > 0.25 * weight else 2.0 * my / weight
+        # Newton's step squares the error, so that after a step this small 1e-6 px is left at most.
+        if abs(step_x) + abs(step_y) < 5e-4 and slope_x > 0.0 and slope_y > 0.0:
             vx = vy = 0.0
             shot = 1.0 / gain_e_per_dn
             for v in range(v0, v1):
                 dy = v - y
                 ey = exp(-dy * dy * curvature)
+                noise_0 = noise_2 = 0.0
                 for u in range(u0, u1):
                     dx = u - x
-                    variance = ey * ex[u] * ex[u] * (noise + shot * max(patch[v, u], 0.0))
-                    vx += variance * dx * dx
-                    vy += variance * dy * dy
-            return x, y, 0.5 * (vx / (slope_x * slope_x) + vy / (slope_y * slope_y))
-        # Far from a centre the slope may be anything; the plain iteration of the windowed centroid goes half the way.
-        step_x = mx / slope_x if slope_x > 0.25 * weight else 2.0 * mx / weight
-        step_y = my / slope_y if slope_y > 0.25 * weight else 2.0 * my / weight
+                    variance = ex[u] * ex[u] * (noise + shot * max(patch[v, u], 0.0))
+                    noise_0 += variance
+                    noise_2 += variance * dx * dx
+                vx += ey * noise_2
+                vy += ey * dy * dy * noise_0
+            variance = 0.5 * (vx / (slope_x * slope_x) + vy / (slope_y * slope_y))
+            return x + step_x, y + step_y, variance
         x += min(max(step_x, -s), s)
         y += min(max(step_y, -s), s)
         if abs(x - start_x) + abs(y - start_y) > 2.0 + 2.0 * s:
@@ -133,7 +137,7 @@ def _measure_one(
     image: ImageArray, gain_e_per_dn: float, noise: FloatArray, table: FloatArray, i: int, s: float
 ) -> None:
     """Settle one centroid from where the table has it, without the light of neighbours that are already measured."""
-    half = ceil(6.0 * s) + 5
+    half = ceil(5.0 * s) + 5
     x0 = int(table[i, CX]) - half
     y0 = int(table[i, CY]) - half
     patch = _patch_of(image, x0, y0, 2 * half + 1, table[i, BACKGROUND])

@@ -38,6 +38,10 @@ class UvgsConfig:
         emission_slack_deg: How far beyond its half angle an LED may still be seen, degrees.
         solver: Name in ``SOLVERS``.
         max_iterations: Most iterations of the solver.
+        track: Whether a prior lets the sensor look in windows around the predicted LEDs first.
+        track_captures: After so many captures solved from windows the whole picture is searched again.
+        max_speed_mps: The beacon moves no faster than this before the camera, m/s; sizes the windows.
+        max_turn_deg_s: It turns no faster than this, degrees per second.
         emission_exponent: An LED shines as the cosine to its axis to this power, when brightness is compared.
         led_brightness_sigma: Deviation of the natural logarithm of brightness between good LEDs; 0 does not compare it.
         led_width_sigma: The same for the width of their spots.
@@ -73,6 +77,10 @@ class UvgsConfig:
     emission_slack_deg: float = 5.0
     solver: str = "uvgs_lm"
     max_iterations: int = 30
+    track: bool = True
+    track_captures: int = 50
+    max_speed_mps: float = 0.3
+    max_turn_deg_s: float = 30.0
     emission_exponent: float = 1.0
     led_brightness_sigma: float = 0.3
     led_width_sigma: float = 0.2
@@ -97,6 +105,8 @@ class UvgsConfig:
             "model_error_px",
             "min_separation_px",
             "emission_slack_deg",
+            "max_speed_mps",
+            "max_turn_deg_s",
             "emission_exponent",
             "led_brightness_sigma",
             "led_width_sigma",

@@ -409,18 +409,30 @@ def find_components_in(
     Returns:
         Number of components, or -1 when there are more than fit.
     """
+    # The loop stays in the pixel's own type, so that it runs on whole registers.
+    tops = np.zeros(y1 - y0, dtype=image.dtype)
     best_y = y0
-    best_x = x0
     for y in range(y0, y1):
-        for x in range(x0, x1):
-            if image[y, x] > image[best_y, best_x]:
-                best_y = y
-                best_x = x
+        line = image[y, x0:x1]
+        top = line[0]
+        for x in range(x1 - x0):
+            value = line[x]
+            if value > top:
+                top = value
+        tops[y - y0] = top
+        if top > tops[best_y - y0]:
+            best_y = y
+    best_x = x0
+    while image[best_y, best_x] < tops[best_y - y0]:
+        best_x += 1
     _, _, background, noise = surroundings(image, best_y, best_x, half)
     floor = max(floor_share * (float(image[best_y, best_x]) - background), 5.0 * noise)
     ys = np.empty(256, dtype=np.int64)
     xs = np.empty(256, dtype=np.int64)
-    peaks = _find_peaks(image, background + floor, x0, y0, x1, y1, ys, xs, 0)
-    if peaks < 0:
-        return -1
+    peaks = 0
+    for y in range(y0, y1):
+        if tops[y - y0] > background + floor:
+            peaks = _find_peaks(image, background + floor, x0, y, x1, y + 1, ys, xs, peaks)
+            if peaks < 0:
+                return -1
     return grow_components(image, ys[:peaks], xs[:peaks], half, k, floor, floor_share, table)

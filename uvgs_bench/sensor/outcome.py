@@ -15,10 +15,12 @@ class PoseEstimate:
 
     Args:
         camera_from_beacon: The pose.
-        covariance: Covariance of the left tangent vector (omega, v) in camera axes, shape (6, 6), rad and m.
+        covariance: Covariance of the left tangent vector (omega, v) in camera axes, shape (6, 6), rad and m: what the
+            noise of this capture and the doubt about the LED positions make together.
         t_ns: Instant of the capture, ns.
         beacon: Name of the beacon.
-        led_px: Observed centroids in the order of the beacon's LEDs, shape (n, 2), raw (distorted) px; NaN if unseen.
+        led_px: Observed centres in the order of the beacon's LEDs, shape (n, 2), raw (distorted) px, freed of the
+            perspective of the LEDs' discs; NaN if unseen.
         residual_px: Observed minus projected, same shape, px.
         rms_px: Root mean square of the residual components, per axis, px.
         margin: How much better than the runner-up, ratio of costs, >= 1; inf when there is no runner-up.
@@ -27,6 +29,12 @@ class PoseEstimate:
         stage_s: Duration of each stage, s, by stage name.
         flags: What a user should know: ``weak_evidence`` (chance could fit as well had an LED been hidden and a glint
             stood in its stead), ``three_leds_with_prior`` (no redundancy; the prior is fused into the pose).
+        beacon_covariance: The part of ``covariance`` from the LED positions; it is the same error in every capture.
+            None when the beacon states no covariance.
+        calibration_covariance: What the doubt about the lens adds, not part of ``covariance``: it is the same error in
+            every capture, and a registration fitted through the same lens takes up most of it. None when the
+            calibration states no covariance.
+        tracked_count: How many captures in a row were solved from windows around the prior; 0: the whole picture.
     """
 
     camera_from_beacon: Pose
@@ -41,6 +49,20 @@ class PoseEstimate:
     runner_up: Pose | None = None
     stage_s: dict[str, float] = field(default_factory=dict)
     flags: tuple[str, ...] = ()
+    beacon_covariance: FloatArray | None = None
+    calibration_covariance: FloatArray | None = None
+    tracked_count: int = 0
+
+    @property
+    def noise_covariance(self) -> FloatArray:
+        """The part of ``covariance`` that is drawn anew in every capture, shape (6, 6)."""
+        return self.covariance if self.beacon_covariance is None else self.covariance - self.beacon_covariance
+
+    @property
+    def total_covariance(self) -> FloatArray:
+        """Everything stated about this one pose: noise, LED positions and lens, shape (6, 6)."""
+        lens = self.calibration_covariance
+        return self.covariance if lens is None else self.covariance + lens
 
     @property
     def position_covariance_m2(self) -> FloatArray:
