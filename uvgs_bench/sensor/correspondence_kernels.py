@@ -26,9 +26,9 @@ _WORTH_REFINING = 40.0
 _WORTH_REFINING_FLOOR = 625.0
 # Beacons of many LEDs: gates about predictions, px and share of the triple's span, then deviations.
 _GATE_PX = 4.0
-_GATE_SHARE = 0.08
+_GATE_SHARE = 0.02
 _GATE_SIGMAS = 6.0
-# As many LEDs explained beyond a triple leave nothing to chance; further triples are not tried.
+# As many LEDs explained beyond a triple, and half of all, leave nothing to chance; further triples are not tried.
 _CERTAIN_BEYOND = 3
 _CERTAIN_CHI2_PER_DOF = 6.0
 _SAME_COSINE = 0.9998
@@ -356,9 +356,23 @@ def search_labelings(
                 )  # fmt: skip
                 if chi2 > HOPELESS_COST * (count - 3):
                     continue
+                if count > 4:
+                    # Within six deviations of the better pose: drops what was near by accident, finds what was missed.
+                    assignment[:] = -1
+                    count = _assign_near(
+                        model_id, lens, px, sigma, leds, axes, cos_loose, R_new, t_new, 0.0, assignment, taken
+                    )
+                    if count < 4:
+                        continue
+                    _gather(assignment, leds, px, sigma, some_leds, some_px, some_sigma)
+                    chi2 = normal_equations(
+                        model_id, lens, some_leds[:count], some_px[:count], some_sigma[:count],
+                        R_new, t_new, t_new, H, g, residual,
+                    )  # fmt: skip
                 rank = chi2 - MISSING_COST * count
                 found = _keep(found, rank, R_new, t_new, assignment, costs, Rs, ts, assignments, True)
-                if count >= 3 + _CERTAIN_BEYOND and chi2 < _CERTAIN_CHI2_PER_DOF * (2 * count - 6):
+                enough = 3 + max(_CERTAIN_BEYOND, (min(m, n) - 3) // 2)
+                if count >= enough and chi2 < _CERTAIN_CHI2_PER_DOF * (2 * count - 6):
                     certain = True
     order = np.argsort(costs[:found])
     ranks = costs[:found].copy()

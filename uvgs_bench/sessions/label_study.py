@@ -98,6 +98,19 @@ class LabelFigures:
         """Refusals per view."""
         return sum(self.refused.values()) / max(self.views, 1)
 
+    def summary(self) -> dict[str, object]:
+        """The figures for a machine, without the single times."""
+        return {
+            "views": self.views,
+            "published": self.published,
+            "wrong": self.wrong,
+            "wrong_unflagged": self.wrong_unflagged,
+            "flagged": self.flagged,
+            "refused": dict(self.refused),
+            "median_s": float(np.median(self.view_s)) if self.view_s else None,
+            "wrong_ranges_m": self.wrong_ranges_m,
+        }
+
     def add(self, other: LabelFigures) -> None:
         """Count another part in."""
         for name in ("views", "published", "wrong", "wrong_unflagged", "flagged"):
@@ -105,6 +118,31 @@ class LabelFigures:
         self.refused += other.refused
         self.view_s += other.view_s
         self.wrong_ranges_m += other.wrong_ranges_m
+
+
+def standard_scenes(lights: int = 3) -> dict[str, tuple[LabelConditions, float]]:
+    """The scenes that are reported: name to conditions and the share of the clean views worth drawing.
+
+    Args:
+        lights: Other lights strewn over the picture in the scene that has them.
+    """
+    return {
+        "clean": (LabelConditions(), 1.0),
+        "clean, brightness not known": (LabelConditions(knows_brightness=False), 0.2),
+        "clean, cone to 85 deg": (LabelConditions(cone_deg=85.0), 0.2),
+        f"{lights} other lights": (LabelConditions(lights=lights), 0.2),
+        "3 glints within the beacon's image": (LabelConditions(glints=3), 0.02),
+        "one LED hidden, one glint": (LabelConditions(hidden=1, glints=1), 0.2),
+        "one LED hidden, one glint as bright": (LabelConditions(hidden=1, glints=1, is_alike=True), 0.2),
+    }
+
+
+DEFINITIONS = (
+    "view: 60 deg cone about facing, 0.5 to 3 m, f = 608 px, 1280 x 960, 0.2 px centroid noise, LED brightness varies "
+    "by 30 % from part to part, stray lights by a factor of 30",
+    "wrong: a pose was published with a light named wrongly, off by more than 0.1 rad or 5 % of range",
+    "flagged: published with the warning weak_evidence; unflagged: wrong without it",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
