@@ -40,6 +40,18 @@ def test_the_tour_runs_as_written(tmp_path):
     assert len(lines) == 91  # a header and one line for each of 30 x 3 captures
 
 
+def test_the_python_of_the_readme_finds_what_it_imports():
+    snippet = re.search(r"```python\n(.*?)```", README, re.DOTALL)
+    assert snippet is not None
+    compile(snippet[1], "README.md", "exec")
+    imports = [line for line in snippet[1].splitlines() if line.startswith(("from ", "import "))]
+    assert any("uvgs_bench.store" in line for line in imports)
+    assert any("uvgs_bench.sensor" in line for line in imports)
+    # And the names the Python door promises beyond the snippet.
+    promised = "from uvgs_bench.store import read_run\nfrom uvgs_bench.sensor import Capture, Uvgs, UvgsConfig\n"
+    exec(compile("\n".join(imports) + "\n" + promised, "README.md", "exec"), {})
+
+
 def test_the_readme_names_files_that_exist():
     for target in re.findall(r"\]\(([^)#]+)\)", README):
         if not target.startswith("http"):

@@ -180,11 +180,23 @@ def _home(gantry: Gantry) -> GantryState:
 def _opened(bench: Path, port: str | None, sim_speed: float) -> Iterator[Gantry]:
     from uvgs_bench.devices.gantry import open_gantry
 
-    with (
-        _spec_and_clock(bench, port, sim_speed) as (setup, spec, clock),
-        open_gantry(spec, setup.envelope, clock=clock, log=_no_log, homing_timeout_s=setup.homing_timeout_s) as gantry,
-    ):
-        yield gantry
+    is_open = False
+    try:
+        with (
+            _spec_and_clock(bench, port, sim_speed) as (setup, spec, clock),
+            open_gantry(
+                spec, setup.envelope, clock=clock, log=_no_log, homing_timeout_s=setup.homing_timeout_s
+            ) as gantry,
+        ):
+            is_open = True
+            yield gantry
+    except KeyboardInterrupt:
+        if is_open:
+            from uvgs_bench.cli.console import console
+
+            # Leaving the gantry's context stopped the motion.
+            console.print("the gantry was stopped: home before the next move")
+        raise
 
 
 @contextmanager

@@ -67,7 +67,8 @@ def _banners(run: Run) -> tuple[Alert, ...]:
         text = f"INCOMPLETE. This run {how} after {taken} of {planned} stations{reason}. It is judged on what there is."
         banners.append(Alert("danger", text))
     if run.seams:
-        text = f"This run was resumed {len(run.seams)} times; the reference checks are in the set-up chapter."
+        often = "once" if len(run.seams) == 1 else f"{len(run.seams)} times"
+        text = f"This run was resumed {often}; the reference checks are in the set-up chapter."
         banners.append(Alert("info", text))
     return tuple(banners)
 
@@ -86,8 +87,10 @@ def headline(judgement: Judgement) -> str:
     if not chosen:
         return "Every limit alone is met, but the run as a whole cannot be judged; the alerts say why."
     said = "; ".join(_short(v) for v in chosen)
-    word = "missed" if judgement.verdict == "fail" else "cannot be decided"
-    return f"{len(chosen)} of {len(verdicts)} limits {'are' if len(chosen) != 1 else 'is'} {word}: {said}."
+    word = "cannot be decided"
+    if judgement.verdict == "fail":
+        word = "is missed" if len(chosen) == 1 else "are missed"
+    return f"{len(chosen)} of {len(verdicts)} limits {word}: {said}."
 
 
 def _short(verdict: LimitVerdict) -> str:

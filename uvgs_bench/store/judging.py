@@ -10,6 +10,7 @@ import numpy as np
 from uvgs_bench.accuracy import Judgement, judge
 from uvgs_bench.accuracy.judgement import Alert
 from uvgs_bench.store.observations import observations_from_run
+from uvgs_bench.units import mm_from_m
 
 if TYPE_CHECKING:
     from uvgs_bench.store.run_types import Run
@@ -37,8 +38,7 @@ def judge_run(run: Run, *, seed: int | None = None) -> Judgement:
         word = run.ended or "still running or killed"
         remarks.append(Alert("warning", f"the run is {word}" + (f": {run.end_reason}" if run.end_reason else "")))
     if run.seams:
-        shift = max(seam.shift_m for seam in run.seams)
-        remarks.append(
-            Alert("note", f"the run was resumed {len(run.seams)} times; the bench had shifted by up to {shift:.1e} m")
-        )
+        shift_mm = mm_from_m(max(seam.shift_m for seam in run.seams))
+        often = "once" if len(run.seams) == 1 else f"{len(run.seams)} times"
+        remarks.append(Alert("note", f"the run was resumed {often}; the bench had shifted by up to {shift_mm:.3f} mm"))
     return replace(judgement, alerts=judgement.alerts + tuple(remarks))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from uvgs_bench.errors import ConfigError, RunError
+from uvgs_bench.errors import ConfigError, RunError, UvgsError
 
 FOLDERS = ("calib", "procedures")
 
@@ -38,6 +38,7 @@ def create_workspace(folder: Path, *, force: bool = False) -> list[Path]:
 
     Raises:
         ConfigError: The path is a file, or an example file exists already and may not be replaced.
+        UvgsError: The folder cannot be written or the disk is full.
     """
     if folder.exists() and not folder.is_dir():
         raise ConfigError("is a file, expected a folder for the workspace", str(folder))
@@ -57,5 +58,5 @@ def create_workspace(folder: Path, *, force: bool = False) -> list[Path]:
             shutil.copyfile(source / path, folder / path)
         (folder / "reports").mkdir(exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"cannot be written: {error.strerror or error}", str(folder)) from None
+        raise UvgsError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return files
