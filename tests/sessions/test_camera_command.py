@@ -5,15 +5,21 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from uvgs_bench.camera import Calibration, Lens
 from uvgs_bench.cli.app import main
+from uvgs_bench.devices.sim.bench import true_lens
+from uvgs_bench.devices.sim.board_views import SimulatedBoardSource
+from uvgs_bench.devices.sim.truth import SimulatedTruth
+from uvgs_bench.store.boards import read_board
 from uvgs_bench.store.calibrations import read_calibration, write_calibration
 
 pytestmark = pytest.mark.opencv
 
+BOARD = Path(__file__).parents[2] / "calib" / "boards" / "chessboard_9x6.toml"
 FOV = [608.8073, 607.61439, 632.53684, 549.08386, 0.998693]
 
 
@@ -105,3 +111,74 @@ def test_one_of_several_cameras_is_asked_for(tmp_path, capsys):
     assert "expected one of cam0, cam1" in capsys.readouterr().err
     assert run("camera", "convert", chain, tmp_path / "o.yaml", "--camera", "cam1") == 0
     assert read_calibration(tmp_path / "o.yaml").lens.parameters[4] == 0.94
+
+
+def test_difference_is_a_table_an_object_and_a_picture(navcam, tmp_path, capsys):
+    other = tmp_path / "other.yaml"
+    covariance = np.diag([1.0, 1.0, 0.5, 0.5, 1e-6])
+    lens = Lens("fov", 1280, 960, np.add(FOV, [0.6, 0.6, 0.0, 0.0, 0.0]))
+    write_calibration(other, Calibration(lens, "other", covariance, 0.2))
+    picture = tmp_path / "map.png"
+    assert run("camera", "diff", navcam, other, "--picture", picture) == 0
+    printed = capsys.readouterr().out
+    assert "worst" in printed
+    assert "times that" in printed
+    assert "map.png" in printed
+    image = cv2.imread(str(picture))
+    # A map, not a blank sheet.
+    assert image.std() > 20.0
+    assert run("camera", "diff", navcam, other, "--picture", picture) == 2
+    assert "--force" in capsys.readouterr().err
+    assert run("camera", "diff", navcam, other, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    # A thousandth of the focal length, at most 855 px from the principal point.
+    assert 0.5 < found["max_px"] < 0.9
+    assert found["centre_px"] < found["rms_px"] < found["max_px"]
+    assert found["predicted_rms_px"] > 0.0
+    assert np.shape(found["shift_px"]) == (*np.shape(found["sigma_px"]), 2)
+
+
+def test_difference_of_different_cameras_is_refused(navcam, tmp_path, capsys):
+    other = tmp_path / "other.yaml"
+    write_calibration(other, Calibration(Lens("fov", 640, 480, np.array([300, 300, 320, 240, 0.9])), "other"))
+    assert run("camera", "diff", navcam, other) == 4
+    assert "640x480" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory) -> tuple[Path, Lens]:
+    """New pictures by the simulated camera."""
+    truth = SimulatedTruth()
+    source = SimulatedBoardSource(truth, read_board(BOARD), 12, seed=9)
+    folder = tmp_path_factory.mktemp("new")
+    for capture in source:
+        assert cv2.imwrite(str(folder / f"{capture.source}.png"), capture.image)
+    return folder, true_lens(truth)
+
+
+@pytest.mark.parametrize(("factor", "code", "word"), [(1.0, 0, "OK"), (1.02, 1, "DEGRADED")])
+def test_check_says_what_changed_by_its_exit_code(photographs, tmp_path, capsys, factor, code, word):
+    folder, lens = photographs
+    parameters = lens.parameters.copy()
+    parameters[:2] /= factor
+    path = tmp_path / "old.yaml"
+    # 0.1 px is what corners of this simulated camera are good for, uneven light and all.
+    doubt = np.diag(np.full(parameters.size, 1e-8))
+    write_calibration(path, Calibration(lens.with_parameters(parameters), "old", doubt, 0.1, 0.1))
+    assert run("camera", "check", path, f"images:{folder}", "--board", BOARD, "--quiet") == code
+    assert word in capsys.readouterr().out
+    assert run("camera", "check", path, f"images:{folder}", "--board", BOARD, "--quiet", "--json") == code
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"].upper() == word
+    focal = next(figure for figure in found["figures"] if figure["name"] == "focal length")
+    # 2 % planted; 0.1 % is five times what twelve views tell.
+    assert focal["value"] == pytest.approx(100.0 * (factor - 1.0), abs=0.1)
+
+
+def test_check_with_too_few_views_is_inconclusive(photographs, tmp_path, capsys):
+    folder, lens = photographs
+    path = tmp_path / "old.yaml"
+    write_calibration(path, Calibration(lens, "old"))
+    source = f"images:{folder}?glob=view_0[01].png"
+    assert run("camera", "check", path, source, "--board", BOARD) == 3
+    assert "need 3" in capsys.readouterr().err

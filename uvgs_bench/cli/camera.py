@@ -1,4 +1,4 @@
-"""``uvgs camera``: look at camera files, convert them."""
+"""``uvgs camera``: look at camera files, convert, compare and check them."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uvgs_bench.cli.options import Force, Json
-from uvgs_bench.errors import ConfigError
+from uvgs_bench.cli.options import Force, Json, Quiet
+from uvgs_bench.errors import ConfigError, ExitCode
 
 if TYPE_CHECKING:
     from uvgs_bench.camera import Calibration, Lens
 
-app = typer.Typer(no_args_is_help=True, help="Look at camera files, convert them.")
+app = typer.Typer(no_args_is_help=True, help="Look at camera files; convert, compare and check them.")
 
 
 @app.callback()
 def camera() -> None:
-    """Look at camera files, convert them."""
+    """Look at camera files; convert, compare and check them."""
 
 
 @app.command("show")
@@ -86,6 +86,71 @@ def convert(
     for remark in done.remarks:
         printed.print(f"[yellow]note:[/] {escape(remark)}", soft_wrap=True)
     print_path("written", done.path)
+
+
+@app.command("diff")
+def diff(
+    first: Annotated[Path, typer.Argument(help="Camera file of any known format.")],
+    second: Annotated[Path, typer.Argument(help="Camera file for the same camera.")],
+    picture: Annotated[Path | None, typer.Option("--picture", help="PNG file to draw the map into.")] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """How far two calibrations of one camera put the same rays apart, after the rotation between their axes."""
+    from uvgs_bench.camera.difference import difference
+    from uvgs_bench.cli.camera_tables import difference_summary, print_difference
+    from uvgs_bench.cli.console import emit_json, print_path
+    from uvgs_bench.sessions.camera_tools import read_camera
+    from uvgs_bench.store.documents import write_atomically
+
+    found = difference(read_camera(first), read_camera(second))
+    if picture is not None:
+        from uvgs_bench.report.lens_difference import difference_png
+
+        write_atomically(picture, difference_png(found, f"{second.name} minus {first.name}"), force=force)
+    if as_json:
+        emit_json(difference_summary(found))
+        return
+    print_difference(found)
+    if picture is not None:
+        print_path("written", picture)
+
+
+@app.command("check")
+def check(
+    path: Annotated[Path, typer.Argument(help="Camera file to check, of any known format.")],
+    source: Annotated[str, typer.Argument(help="New pictures of a board: images:DIR, video:FILE or uvc:0.")],
+    board: Annotated[Path, typer.Option("--board", help="Board file.")],
+    limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many captures.")] = None,
+    ratio: Annotated[float, typer.Option("--max-ratio", min=1.0, help="Held-out residual, new over file.")] = 1.5,
+    focal: Annotated[
+        float, typer.Option("--max-focal-shift-percent", min=0.0, help="Largest change of the focal length.")
+    ] = 0.5,
+    centre: Annotated[
+        float, typer.Option("--max-centre-shift-px", min=0.0, help="Largest change of the principal point.")
+    ] = 5.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Is an existing calibration still valid? OK (exit code 0), degraded (1) or inconclusive (3), with numbers."""
+    from uvgs_bench.camera.validity import ValidityLimits
+    from uvgs_bench.cli.camera_tables import print_validity, validity_summary
+    from uvgs_bench.cli.console import emit_json, progress_sink
+    from uvgs_bench.devices.cameras.registry import open_camera
+    from uvgs_bench.sessions.camera_tools import check_camera, read_camera
+    from uvgs_bench.store.boards import read_board
+
+    calibration, declared = read_camera(path), read_board(board)
+    with open_camera(source) as camera, progress_sink(quiet=quiet) as sink:
+        found = check_camera(
+            calibration, camera, declared, limits=ValidityLimits(ratio, focal, centre), sink=sink, limit=limit
+        )
+    if as_json:
+        emit_json(validity_summary(found))
+    else:
+        print_validity(found)
+    codes = {"ok": ExitCode.DONE, "degraded": ExitCode.LIMITS_MISSED, "inconclusive": ExitCode.INCONCLUSIVE}
+    raise typer.Exit(codes[found.verdict])
 
 
 def _size_px(text: str) -> tuple[int, int] | None:

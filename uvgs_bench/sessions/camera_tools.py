@@ -1,14 +1,20 @@
-"""Leading work on camera files: reading anybody's, converting."""
+"""Leading work on camera files: reading anybody's, converting, checking against new pictures."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from uvgs_bench.camera import Calibration
+import numpy as np
+
+from uvgs_bench.camera import Board, Calibration
 from uvgs_bench.camera.difference import Refit, refit
-from uvgs_bench.errors import CalibrationError, ConfigError, FormatError
+from uvgs_bench.camera.validity import MIN_VIEWS, Validity, ValidityLimits, check_validity
+from uvgs_bench.devices.cameras.source import CameraSource
+from uvgs_bench.errors import CalibrationError, ConfigError, FormatError, TooFewViews
 from uvgs_bench.interop.camera_files import CAMERA_FORMATS, exact_lens, format_of, lens_text, read_lenses
+from uvgs_bench.sessions.events import EventSink, ignore_events
+from uvgs_bench.sessions.find_boards import find_boards
 from uvgs_bench.store.calibrations import calibration_text, read_calibration
 from uvgs_bench.store.documents import write_atomically
 
@@ -152,3 +158,45 @@ def _remarks(read: Calibration, target: str, refitted: Refit | None) -> tuple[st
     if target == "opencv" and (refitted.lens if refitted else read.lens).model == "equidistant":
         said.append("OpenCV files do not name the lens: these 4 coefficients are for cv2.fisheye (fisheye_model: 1)")
     return tuple(said)
+
+
+def check_camera(
+    calibration: Calibration,
+    source: CameraSource,
+    board: Board,
+    *,
+    limits: ValidityLimits | None = None,
+    sink: EventSink = ignore_events,
+    limit: int | None = None,
+    seed: int = 0,
+) -> Validity:
+    """Judge an existing calibration on new pictures of a board.
+
+    Args:
+        calibration: The calibration.
+        source: New captures of the board; it stays open.
+        board: The board as declared.
+        limits: How much may have changed.
+        sink: Where progress and remarks go.
+        limit: At most so many captures; a live camera needs one.
+        seed: Of the intervals over the views.
+
+    Returns:
+        Verdict and figures.
+
+    Raises:
+        ConfigError: A live camera without a limit.
+        CaptureError: The source cannot be read, or gives no pictures.
+        TooFewViews: The board was found in too few pictures, or they do not say enough.
+        CalibrationError: The pictures have another size than the calibration.
+    """
+    found = find_boards(source, board, sink=sink, limit=limit)
+    if len(found.views) < MIN_VIEWS:
+        pictures = len(found.views) + len(found.misses)
+        raise TooFewViews(
+            f"board '{board.name}' usable in {len(found.views)} of {pictures} pictures, need {MIN_VIEWS}: "
+            f"{found.misses[0].name}: {found.misses[0].detail}"
+            if found.misses
+            else f"{len(found.views)} pictures, need {MIN_VIEWS}"
+        )
+    return check_validity(calibration, found.views, np.random.default_rng(seed), limits)
