@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from uvgs_bench.cli.benchmark_centroids import centroids
 from uvgs_bench.cli.benchmark_detection import detection
 from uvgs_bench.cli.benchmark_solvers import solvers
 from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Json, Quiet, Seed
@@ -14,6 +15,7 @@ from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Json, Quiet, Seed
 app = typer.Typer(help="Measure the sensor next to its peers: speed, solvers, detection.", no_args_is_help=True)
 app.command("solvers")(solvers)
 app.command("detection")(detection)
+app.command("centroids")(centroids)
 
 
 @app.callback()
@@ -42,7 +44,7 @@ def pipeline(
     parameters = UvgsConfig() if config is None else read_document(config, UvgsConfig)
     with progress_sink(quiet=quiet) as sink:
         result = benchmark_pipeline(bench, parameters, sink, count=captures, seed=seed)
-    rows = (*result.stages, result.total, result.peer)
+    rows = (*result.stages, result.total, result.tracked, result.peer)
     if as_json:
         emit_json({
             "picture_px": [result.width_px, result.height_px],
@@ -50,6 +52,7 @@ def pipeline(
             "poses": result.poses,
             "seed": seed,
             "stages": {row.name: {"p10_s": row.p10_s, "median_s": row.median_s, "p99_s": row.p99_s} for row in rows},
+            "tracked_poses": result.tracked_poses,
             "peer_found": result.peer_found,
             "peer_over_uvgs": result.ratio,
         })  # fmt: skip

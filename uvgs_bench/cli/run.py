@@ -30,6 +30,11 @@ def run(
     beacon: Annotated[Path | None, typer.Option("--beacon", help="Beacon; a run folder has its own.")] = None,
     config: Annotated[Path | None, typer.Option("--config", help="Sensor parameters, TOML.")] = None,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Stop after so many captures.")] = None,
+    track: Annotated[
+        bool,
+        typer.Option("--track/--no-track", help="Look for the LEDs where the last pose puts them; else each alone."),
+    ] = False,
+    threads: Annotated[int, typer.Option("--threads", min=1, help="Threads of OpenCV; 1 is deterministic.")] = 1,
     debug_images: Annotated[
         Path | None, typer.Option("--debug-images", help="Folder for one picture per capture of what each stage saw.")
     ] = None,
@@ -58,7 +63,8 @@ def run(
         uvgs.warm_up()
         tally = Tally()
         drawn = None if debug_images is None else DebugImages(debug_images, uvgs, force=force)
-        for capture, outcome in solve_source(captures, uvgs, sink, total=total, limit=limit):
+        stream = solve_source(captures, uvgs, sink, total=total, limit=limit, track=track, threads=threads)
+        for capture, outcome in stream:
             writer.write(capture, outcome)
             tally.add(outcome)
             if drawn is not None:

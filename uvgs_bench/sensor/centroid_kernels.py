@@ -13,7 +13,7 @@ from uvgs_bench.sensor.capture import ImageArray
 # Window of the centroid over the width of the spot.
 WINDOW_RATIO = 1.4
 # What a flat, clipped top adds to the deviation of a centroid, by trial on drawn spots.
-CLIPPED_SIGMA_PX = 0.01
+CLIPPED_SIGMA_PX = 0.008
 # Columns of the measurement table.
 CX, CY, SIGMA, PEAK, BACKGROUND, WIDTH, CLIPPED, MEASURE_COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from statistics import median
@@ -42,9 +43,16 @@ class Tally:
 
 
 def solve_source(
-    source: Iterable[Capture], uvgs: Uvgs, sink: EventSink, *, total: int | None = None, limit: int | None = None
+    source: Iterable[Capture],
+    uvgs: Uvgs,
+    sink: EventSink,
+    *,
+    total: int | None = None,
+    limit: int | None = None,
+    track: bool = False,
+    threads: int = 1,
 ) -> Iterator[tuple[Capture, Outcome]]:
-    """Solve each capture by itself, so that the answer to a picture depends on the picture alone.
+    """Solve captures: each by itself, so that the answer depends on the picture alone, or each after the last.
 
     Args:
         source: Captures, an open camera source for example.
@@ -52,6 +60,8 @@ def solve_source(
         sink: Where progress goes.
         total: Number of captures if known.
         limit: Stop after so many, or None.
+        track: Hand the sensor the last pose as a prior while there is one.
+        threads: How many threads OpenCV may use; the compiled kernels always use one, so 1 is deterministic real time.
 
     Yields:
         Each capture with its outcome.
@@ -63,15 +73,25 @@ def solve_source(
     known = [n for n in (total, limit) if n is not None]
     sink(StageStarted(STAGE, min(known) if known else None))
     tally = Tally()
+    prior: PoseEstimate | None = None
     if limit is None or limit > 0:
         for capture in source:
-            outcome = uvgs.solve(capture)
+            _limit_threads(threads)
+            outcome = uvgs.solve(capture, prior)
+            prior = outcome if track and isinstance(outcome, PoseEstimate) else None
             tally.add(outcome)
             sink(StageAdvanced(STAGE, tally.total, capture.source))
             yield capture, outcome
             if limit is not None and tally.total >= limit:
                 break
     sink(StageFinished(STAGE, f"{tally.ok} poses of {tally.total} captures"))
+
+
+def _limit_threads(threads: int) -> None:
+    """Tell OpenCV, once something has loaded it; loading it only for this would cost its memory."""
+    cv2 = sys.modules.get("cv2")
+    if cv2 is not None and cv2.getNumThreads() != threads:
+        cv2.setNumThreads(threads)
 
 
 def run_captures(run: Run) -> list[tuple[int, str]]:
