@@ -16,8 +16,9 @@ from uvgs_bench.sensor.solvers.lambda_twist import solve_p3p
 from uvgs_bench.sensor.solvers.uvgs_lm import refine_pose
 
 KEPT = 64
-# A visible LED that no blob stands for costs as much as a residual of five deviations.
-MISSING_COST = 25.0
+# A lit LED without a blob: one in twelve is hidden. A blob that is no LED: such a light at just this place is rare.
+MISSING_COST = 5.0
+STRAY_COST = 15.0
 # Predicted to first order; beyond this no refinement brings a labeling back.
 HOPELESS_COST = 2500.0
 _REFINE_STEPS = 15
@@ -369,7 +370,7 @@ def search_labelings(
                         model_id, lens, some_leds[:count], some_px[:count], some_sigma[:count],
                         R_new, t_new, t_new, H, g, residual,
                     )  # fmt: skip
-                rank = chi2 - MISSING_COST * count
+                rank = chi2 - (MISSING_COST + STRAY_COST) * count
                 found = _keep(found, rank, R_new, t_new, assignment, costs, Rs, ts, assignments, True)
                 enough = 3 + max(_CERTAIN_BEYOND, (min(m, n) - 3) // 2)
                 if count >= enough and chi2 < _CERTAIN_CHI2_PER_DOF * (2 * count - 6):
@@ -404,6 +405,8 @@ def search_labelings(
         if chi2 == np.inf or not sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2) >= min_range_m:
             continue
         cost = chi2 + appearance_cost(R, t, leds, axes, assignment, looks, look_sigma, exponent)
+        if n > 4:
+            cost += STRAY_COST * (m - count)
         cone = 0.0
         for led in range(n):
             if assignment[led] >= 0:

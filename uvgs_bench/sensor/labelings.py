@@ -28,6 +28,8 @@ STEP_SHIFT = 0.05
 PRIOR_REACH2 = 16.0
 # Share of all chance poses that lie so near a prior, at most: a cone of 0.3 rad about one of many attitudes.
 _PRIOR_CHANCE = 0.02
+# The area within one deviation of an LED predicted from three others, over that of a centroid: typical of triangles.
+_PREDICTED_AREA = 4.0
 # Lights nobody placed differ in brightness by this factor.
 _STRAY_FACTOR = 30.0
 
@@ -65,7 +67,8 @@ class Search:
     Args:
         candidates: Best first.
         tried: Number of poses tried.
-        area_px2: With four LEDs: sum over these poses and blobs of the area within one unit of cost, over pi.
+        area_px2: With four LEDs the sum over these poses and blobs of the area within one unit of cost, over pi; with
+            more that of one prediction.
         field_px2: Area in which the lights lie.
         blobs: Number of lights.
     """
@@ -93,16 +96,14 @@ def chance_fits(best: Candidate, found: Search, leds: LedTable, looks: FloatArra
     Returns:
         The expected number.
     """
-    redundant = best.seen - 3
-    density = pi * found.area_px2 / found.field_px2
-    if len(leds.positions_m) > 4:
-        # Each further LED may take any blob within its gate.
-        gate_px2 = pi * 16.0 * found.area_px2
-        share = min(1.0, found.blobs * gate_px2 / found.field_px2)
-        lit = len(leds.positions_m) - 3
-        return found.tried * comb(lit, redundant) * share**redundant
+    fit = exp(min(0.5 * (best.chi2 + best.cone_cost), 60.0))
+    n, redundant = len(leds.positions_m), best.seen - 3
+    if n > 4:
+        # Each redundant LED is one of those left, explained by one of the lights left.
+        share = min(1.0, 2.0 * pi * found.area_px2 * (found.blobs - 3) / found.field_px2)
+        return found.tried * comb(n - 3, redundant) * share**redundant * fit
     # A true fit has two degrees of freedom, so its density is exp(-chi2 / 2) / 2.
-    odds = 2.0 * density * exp(min(0.5 * (best.chi2 + best.cone_cost), 60.0))
+    odds = 2.0 * pi * found.area_px2 / found.field_px2 * fit
     if looks is not None:
         odds *= _stray_odds(best, leds, looks)
     return odds * (_PRIOR_CHANCE if best.near_prior else 1.0)
@@ -171,7 +172,7 @@ def search(
     sides = (at.max(axis=0) - at.min(axis=0)) * (len(at) + 1.0) / (len(at) - 1.0)
     field_px2 = max(float(sides[0] * sides[1]), 1.0)
     if n > 4:
-        area = float(np.mean(sigma[seen] ** 2))
+        area = _PREDICTED_AREA * float(np.mean(sigma[seen] ** 2))
     return Search(out, tried, area, field_px2, len(seen))
 
 
