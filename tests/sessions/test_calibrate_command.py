@@ -189,3 +189,37 @@ def test_photographs_give_the_measured_figures_through_the_command(tmp_path, cap
     assert summary["parameters"]["fx"] == pytest.approx(533.966, abs=6e-4)
     assert summary["sigmas"]["fx"] == pytest.approx(0.551, rel=0.01)
     assert run("camera", "show", PHOTOGRAPHS / "NOTES.md") == 2
+
+
+def test_what_is_not_usable_is_not_written_unless_forced_and_then_says_so(pictures, tmp_path, capsys):
+    out = tmp_path / "camera.yaml"
+    source = f"images:{pictures}?glob=view[0-4].png"
+    assert run("calibrate", source, "--board", BOARD, "--out", out) == 3
+    said = capsys.readouterr()
+    assert "INCONCLUSIVE" in said.out
+    assert "5 views are too few" in said.out
+    assert "nothing written" in said.err
+    assert not out.exists()
+    assert run("calibrate", source, "--board", BOARD, "--out", out, "--force", "--json") == 3
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["verdict"] == "inconclusive"
+    verdict = read_calibration(out).verdict
+    assert verdict is not None
+    assert verdict.word == "inconclusive"
+    assert list(verdict.reasons) == summary["reasons"]
+
+
+def test_verdict_and_joint_covariance_travel_with_the_file(pictures, tmp_path, capsys):
+    out = tmp_path / "camera.yaml"
+    assert run("calibrate", f"images:{pictures}", "--board", BOARD, "--out", out, "--board-shape", "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    calibration = read_calibration(out)
+    assert calibration.verdict is not None
+    assert calibration.verdict.radius_px == summary["usable_radius_px"] > 0.0
+    assert calibration.joint_covariance is not None
+    assert calibration.covariance is not None
+    np.testing.assert_array_equal(calibration.joint_covariance[:9, :9], calibration.covariance)
+    (bow_x_m, bow_y_m, stretch), _ = summary["board_shape"]
+    # Drawn flat and square: bow below a tenth of a millimetre, stretch below a thousandth.
+    assert max(abs(bow_x_m), abs(bow_y_m)) < 2e-4
+    assert abs(stretch) < 1e-3

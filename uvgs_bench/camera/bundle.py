@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +169,7 @@ def _normal(bundle: Bundle, corners: Corners, *, with_common: bool = True) -> _N
         J[:, :, 6 + by_lens.shape[2] : -1] = by_point @ (bundle.R_cb[corners.view] @ corners.by_shape)
     J[:, :, -1] = corners.px - px
     rows, bounds = J.reshape(2 * count, -1), 2 * corners.bounds()
-    gram = np.stack([rows[a:b].T @ rows[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)])
+    gram = np.stack([rows[a:b].T @ rows[a:b] for a, b in pairwise(bounds)])
     return _Normal(
         gram[:, :6, :6], gram[:, :6, 6:-1], gram[:, 6:-1, 6:-1], gram[:, :6, -1], gram[:, 6:-1, -1], gram[:, -1, -1]
     )
@@ -292,7 +293,8 @@ class Information:
 def information(bundle: Bundle, corners: Corners) -> Information:
     """Information at a minimum, view by view. Raises LinAlgError when a view does not fix its own pose."""
     normal = _normal(bundle, corners)
-    inverse = np.linalg.inv(normal.poses)
-    eliminated = inverse @ normal.mixed
+    inverse = np.asarray(np.linalg.inv(normal.poses), dtype=np.float64)
+    eliminated: FloatArray = inverse @ normal.mixed
     S = normal.common - normal.mixed.swapaxes(1, 2) @ eliminated
-    return Information(0.5 * (S + S.swapaxes(1, 2)), inverse, -eliminated)
+    reduced: FloatArray = 0.5 * (S + S.swapaxes(1, 2))
+    return Information(reduced, inverse, -eliminated)

@@ -7,6 +7,8 @@ Source: Z. Zhang, A flexible new technique for camera calibration (2000), sectio
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from uvgs_bench.camera.bundle import Bundle, Corners, adjust, refine_poses
@@ -19,23 +21,21 @@ from uvgs_bench.geometry.se3 import nearest_rotation
 _FOCAL_WIDTHS = (0.2, 0.28, 0.38, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
 # The best starts are adjusted fully; the lowest minimum wins.
 _FULL_STARTS = 3
+# The polynomials in tan(angle) end before 90 degrees.
+_WIDEST_RAD = 1.4
 # A first try whose typical residual is a corner finder's noise has found the minimum: a wrong pose or focal length
 # costs pixels, not tenths.
 _CONVINCING_PX = 0.5
 
 
-def start(model: str, corners: Corners, width_px: int, height_px: int, prior: FloatArray | None = None) -> Bundle:
+def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle:
     """Adjust from the focal length of the homographies or, when that is not convincing, from several.
 
-    The polynomial lenses with more coefficients grow from ``plumb_bob``: started from nothing, their numerator and
-    denominator run away together.
-
     Args:
-        model: Key of ``LENSES``.
+        model: Key of ``LENSES``; ``rational_polynomial`` and ``thin_prism`` rather grow from ``plumb_bob``.
         corners: What was seen.
         width_px: Picture width, px.
         height_px: Picture height, px.
-        prior: Weights that draw the parameters to zero, as in ``adjust``, shape (P,).
 
     Returns:
         Lens and poses at the lowest minimum found.
@@ -43,43 +43,75 @@ def start(model: str, corners: Corners, width_px: int, height_px: int, prior: Fl
     Raises:
         CalibrationError: No start sees the boards.
     """
-    if model in ("rational_polynomial", "thin_prism"):
-        return grown(model, start("plumb_bob", corners, width_px, height_px), corners, prior)
     try:
         focal_px = _focal_of_homographies(corners, width_px, height_px)
         lens = _plain_lens(model, focal_px, width_px, height_px)
-        bundle = adjust(refine_poses(planar_poses(lens, corners), corners, iterations=2), corners, prior)
+        bundle = adjust(refine_poses(planar_poses(lens, corners), corners, iterations=2), corners)
         if float(np.median(np.linalg.norm(bundle.residuals_px(corners), axis=1))) < _CONVINCING_PX:
             return bundle
     except (CalibrationError, np.linalg.LinAlgError, ValueError):
         pass
-    return _from_many_focals(model, corners, width_px, height_px, prior)
+    return _from_many_focals(model, corners, width_px, height_px)
 
 
-def grown(model: str, smaller: Bundle, corners: Corners, prior: FloatArray | None = None) -> Bundle:
-    """Adjust a lens with more coefficients from the minimum of one with fewer, the new ones starting at zero.
+def grown(model: str, corners: Corners, width_px: int, height_px: int) -> list[Bundle]:
+    """Starts of a lens whose numerator and denominator, started from nothing, run away together.
+
+    From ``plumb_bob`` with the new coefficients zero, and from ``fov`` with the coefficients that follow its radial
+    map: a wide ``plumb_bob`` often ends its valid field at the outermost corners, which no step may then leave.
 
     Args:
-        model: Key of ``LENSES`` whose parameters begin with those of the smaller lens.
-        smaller: Minimum of the smaller lens.
+        model: ``rational_polynomial`` or ``thin_prism``.
         corners: What was seen.
-        prior: Weights that draw the parameters to zero, as in ``adjust``, shape (P,).
+        width_px: Picture width, px.
+        height_px: Picture height, px.
 
     Returns:
-        The minimum.
+        The starts, not adjusted, at least one.
 
     Raises:
-        CalibrationError: Nothing is seen from there.
+        CalibrationError: No start sees the boards.
     """
-    lens = smaller.lens
-    missing = len(LENSES[model].parameter_names) - lens.parameters.size
-    larger = Lens(model, lens.width_px, lens.height_px, np.concatenate([lens.parameters, np.zeros(missing)]))
-    return adjust(Bundle(larger, smaller.R_cb, smaller.t_cb), corners, prior)
+    found, failed = [], CalibrationError("")
+    missing = len(LENSES[model].parameter_names) - len(LENSES["plumb_bob"].parameter_names)
+    for smaller in ("plumb_bob", "fov"):
+        try:
+            bundle = start(smaller, corners, width_px, height_px)
+            parameters = bundle.lens.parameters
+            if smaller == "fov":
+                points = bundle.points_in_camera(corners)
+                angle = float(np.arctan2(np.linalg.norm(points[:, :2], axis=1), points[:, 2]).max())
+                parameters = _ratio_like_fov(parameters, min(angle + 0.2, _WIDEST_RAD))
+                parameters = np.concatenate([parameters, np.zeros(missing - 3)])
+            else:
+                parameters = np.concatenate([parameters, np.zeros(missing)])
+            lens = Lens(model, width_px, height_px, parameters)
+        except CalibrationError as error:
+            failed = error
+            continue
+        larger = Bundle(lens, bundle.R_cb, bundle.t_cb)
+        if np.isfinite(larger.residuals_px(corners)).all():
+            found.append(larger)
+    if not found:
+        raise CalibrationError(str(failed) or f"a {model} lens does not see these boards from any start")
+    return found
 
 
-def _from_many_focals(
-    model: str, corners: Corners, width_px: int, height_px: int, prior: FloatArray | None
-) -> Bundle:
+def _ratio_like_fov(fov: FloatArray, widest_rad: float) -> FloatArray:
+    """Parameters fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 of the ratio of polynomials nearest to a ``fov`` lens."""
+    r = np.tan(np.linspace(0.02, widest_rad, 60))
+    stretch = 2.0 * np.tan(0.5 * fov[4])
+    ratio = np.arctan(r * stretch) / (r * stretch)
+    powers = np.stack([r**2, r**4, r**6], axis=1)
+    rows = np.concatenate([powers, -ratio[:, None] * powers], axis=1)
+    # A little ridge: numerator and denominator are never told apart by themselves.
+    normal = rows.T @ rows + 1e-6 * np.eye(6)
+    k1, k2, k3, k4, k5, k6 = np.linalg.solve(normal, rows.T @ (ratio - 1.0))
+    focal = fov[:2] * stretch / fov[4]
+    return np.array([*focal, fov[2], fov[3], k1, k2, 0.0, 0.0, k3, k4, k5, k6])
+
+
+def _from_many_focals(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle:
     ranked: list[tuple[float, int, Bundle]] = []
     for i, focal in enumerate(_FOCAL_WIDTHS):
         lens = _plain_lens(model, focal * width_px, width_px, height_px)
@@ -94,7 +126,7 @@ def _from_many_focals(
     best_cost = np.inf
     for _, _, bundle in sorted(ranked, key=lambda entry: entry[:2])[:_FULL_STARTS]:
         try:
-            adjusted = adjust(bundle, corners, prior)
+            adjusted = adjust(bundle, corners)
         except CalibrationError:
             continue
         cost = float((adjusted.residuals_px(corners) ** 2).sum())
@@ -174,9 +206,7 @@ def _homographies(board_m: FloatArray, plane: FloatArray, corners: Corners) -> F
     by_v = np.concatenate([zero, point, -seen[:, 1:] * point], axis=1)
     bounds = corners.bounds()
     # The squared system loses half the digits, which a start can spare.
-    gram = np.stack(
-        [by_u[a:b].T @ by_u[a:b] + by_v[a:b].T @ by_v[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-    )
+    gram = np.stack([by_u[a:b].T @ by_u[a:b] + by_v[a:b].T @ by_v[a:b] for a, b in pairwise(bounds)])
     result: FloatArray = np.linalg.inv(B) @ np.linalg.eigh(gram)[1][:, :, 0].reshape(-1, 3, 3) @ A
     return result
 

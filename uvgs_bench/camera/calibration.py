@@ -11,6 +11,35 @@ from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray, read_only
 
 
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a calibration may be used for, and why.
+
+    Args:
+        word: ``usable``, ``usable_within_radius``, ``not_usable`` or ``inconclusive``.
+        radius_px: Distance from the principal point up to which it may be used, px; 0 when nowhere.
+        reasons: Sentences for people, the decisive ones first.
+        next_pictures: What to photograph next, most useful first.
+    """
+
+    word: str
+    radius_px: float
+    reasons: tuple[str, ...]
+    next_pictures: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.word not in VERDICTS:
+            raise CalibrationError(f"unknown verdict '{self.word}', expected one of {', '.join(VERDICTS)}")
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether poses may be computed with it, at least within the radius."""
+        return self.word in ("usable", "usable_within_radius")
+
+
+VERDICTS = ("usable", "usable_within_radius", "not_usable", "inconclusive")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """A fitted lens with its doubt.
@@ -25,6 +54,10 @@ class Calibration:
         corner_count: Number of corners used.
         rejected_count: Number of corners set aside as outliers.
         notes: Where it comes from: board, source, hashes, versions, ``created_utc``.
+        joint_covariance: Covariance of ``lens.parameters`` and of the mean twist of all board poses (rotation rad,
+            translation m, camera axes), shape (P + 6, P + 6); None when unknown. It carries the projection
+            uncertainty: boards move along when the lens changes.
+        verdict: What it may be used for; None when nobody judged it.
 
     Raises:
         CalibrationError: The covariance has another shape, is not finite, not symmetric, or has a negative variance.
@@ -39,12 +72,22 @@ class Calibration:
     corner_count: int = 0
     rejected_count: int = 0
     notes: dict[str, str] = field(default_factory=dict)
+    joint_covariance: FloatArray | None = None
+    verdict: Verdict | None = None
 
     def __post_init__(self) -> None:
+        size = self.lens.parameters.size
+        if self.joint_covariance is not None:
+            joint = read_only(self.joint_covariance)
+            if joint.shape != (size + 6, size + 6) or not np.isfinite(joint).all():
+                raise CalibrationError(
+                    f"the joint covariance of a {self.lens.model} lens is finite and has shape ({size + 6}, "
+                    f"{size + 6}), got {joint.shape}"
+                )
+            object.__setattr__(self, "joint_covariance", joint)
         if self.covariance is None:
             return
         covariance = read_only(self.covariance)
-        size = self.lens.parameters.size
         if covariance.shape != (size, size):
             raise CalibrationError(
                 f"the covariance of a {self.lens.model} lens has shape ({size}, {size}), got {covariance.shape}"

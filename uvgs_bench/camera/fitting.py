@@ -1,25 +1,29 @@
-"""From found corners to a calibration with its doubt: outliers, covariance, held-out error, warnings."""
+"""From found corners to a calibration with its doubt: outliers, covariance, held-out error, verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.camera.boards import BoardMiss, BoardView
-from uvgs_bench.camera.bundle import Bundle, Corners, adjust, information, refine_poses
-from uvgs_bench.camera.bundle_start import start
+from uvgs_bench.camera.bundle import SHAPE_NAMES, Bundle, Corners, adjust
+from uvgs_bench.camera.bundle_start import grown, start
 from uvgs_bench.camera.calibration import Calibration
-from uvgs_bench.camera.lens import LENSES, Lens
+from uvgs_bench.camera.cross_validation import MIN_VIEWS, HeldOut, SplitHalf, held_out, split_half
+from uvgs_bench.camera.lens import LENSES
+from uvgs_bench.camera.lens_covariance import Doubt, doubt_of, prior_of
+from uvgs_bench.camera.residual_structure import Coverage, ResidualStructure, coverage, residual_structure
 from uvgs_bench.errors import CalibrationError, TooFewViews
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import deg_from_rad
 
-MIN_VIEWS = 3
+__all__ = ["MIN_VIEWS", "CalibrationResult", "Fit", "RejectedCorner", "calibrate", "fit"]
+
 _WISHED_VIEWS = 8
-_FOLDS = 5
 _OUTLIER_SIGMAS = 4.0
 _MAX_OUTLIER_SHARE = 0.1
 _WISHED_TILT_RAD = 0.2
@@ -27,6 +31,8 @@ _WISHED_TILT_RAD = 0.2
 _PARALLEL_RAD = 0.03
 # Scaled condition number above which parameters only mean something together.
 _MAX_CONDITION = 1e9
+# Of corner finders: a start far off must not draw its coefficients to zero the harder for it.
+_EXPECTED_NOISE_PX = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +55,32 @@ class RejectedCorner:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A lens fitted to views, before anybody judges it.
+
+    Args:
+        bundle: Lens and poses, fitted to the kept corners.
+        whole: The same fitted to every corner.
+        corners: Every corner.
+        keep: Which corners were kept, shape (N,).
+        prior: Weights that drew the parameters to zero, as in ``adjust``, or None.
+        doubt: Covariances.
+    """
+
+    bundle: Bundle
+    whole: Bundle
+    corners: Corners
+    keep: NDArray[np.bool_]
+    prior: FloatArray | None
+    doubt: Doubt
+
+    @property
+    def kept(self) -> Corners:
+        """The kept corners."""
+        return self.corners.kept(self.keep)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
     """A calibration with all that led to it.
 
@@ -67,6 +99,12 @@ class CalibrationResult:
             farthest corner.
         warnings: Sentences for people, with numbers.
         misses: Pictures without a usable board, added by whoever looked for them.
+        view_noise_px: Standard deviation of a residual component in each view, shape (V,), px.
+        view_held_out_px: Held-out RMS of each view, shape (V,), px; empty with too few views.
+        split_half: Two halves against each other; None with too few views.
+        structure: Shape of the residuals.
+        coverage: Where the boards were.
+        board_shape: Shape of the printed board by ``SHAPE_NAMES`` with deviations, shape (2, 3), when it was free.
     """
 
     calibration: Calibration
@@ -81,28 +119,28 @@ class CalibrationResult:
     max_tilt_rad: float
     covered_radius: float
     warnings: tuple[str, ...]
-    misses: tuple[BoardMiss, ...] = ()
+    misses: tuple[BoardMiss, ...]
+    view_noise_px: FloatArray
+    view_held_out_px: FloatArray
+    split_half: SplitHalf | None
+    structure: ResidualStructure
+    coverage: Coverage
+    board_shape: FloatArray | None
 
 
-def calibrate(
-    views: Sequence[BoardView],
-    model: str,
-    *,
-    camera_name: str = "",
-    reject_outliers: bool = True,
-    notes: dict[str, str] | None = None,
-) -> CalibrationResult:
+def fit(views: Sequence[BoardView], model: str, *, reject_outliers: bool = True, is_board_free: bool = False) -> Fit:
     """Fit a lens to board views by bundle adjustment.
 
     Args:
         views: Found corners, all from pictures of one size.
         model: Key of ``LENSES``.
-        camera_name: For people.
-        reject_outliers: Whether corners farther than four robust standard deviations are set aside, at most 10 %.
-        notes: Provenance to keep with the calibration.
+        reject_outliers: Whether corners farther than four robust standard deviations are set aside, at most 10 %, and
+            each picture's noise is judged on its own. Otherwise plain least squares with one noise for all, as other
+            programs do.
+        is_board_free: Whether the bow and the stretch of the printed board are estimated too.
 
     Returns:
-        The calibration with residuals, outliers and warnings.
+        The fit.
 
     Raises:
         TooFewViews: Fewer than three views, or views too alike to tell the parameters apart.
@@ -123,43 +161,110 @@ def calibrate(
     unknowns = len(LENSES[model].parameter_names) + 6 * len(views)
     if 2 * len(corners.px) <= unknowns:
         raise TooFewViews(f"{len(corners.px)} corners do not determine {unknowns} unknowns")
-    whole = start(model, corners, first.width_px, first.height_px)
+    whole, prior = _started(corners, model, first.width_px, first.height_px)
+    if is_board_free:
+        whole = Bundle(whole.lens, whole.R_cb, whole.t_cb, np.zeros(len(SHAPE_NAMES)))
+        prior = prior_of(whole.lens.parameter_names, _noise_px(whole, corners), len(SHAPE_NAMES))
+        whole = adjust(whole, corners, prior)
     keep = np.ones(len(corners.px), dtype=np.bool_)
     bundle = whole
     if reject_outliers:
-        bundle, keep = _without_outliers(whole, corners)
-    kept = corners.kept(keep)
+        bundle, keep = _without_outliers(whole, corners, prior)
     normals = bundle.R_cb[:, :, 2]
     if float(np.linalg.norm(np.cross(normals, normals[0]), axis=1).max()) < _PARALLEL_RAD:
         raise TooFewViews(f"all {len(views)} views show the board in the same attitude: tilt it in several directions")
-    fold_rms_px, held_out_rms_px = _held_out(bundle, kept)
-    covariance, condition = _covariance(bundle, kept)
-    calibration = _calibration(
-        bundle, kept, covariance, camera_name, int((~keep).sum()), held_out_rms_px, dict(notes or {})
-    )
+    doubt = doubt_of(bundle, corners.kept(keep), prior, is_noise_equal=not reject_outliers)
+    return Fit(bundle, whole, corners, keep, prior, doubt)
+
+
+def calibrate(
+    views: Sequence[BoardView],
+    model: str,
+    *,
+    camera_name: str = "",
+    reject_outliers: bool = True,
+    is_board_free: bool = False,
+    notes: dict[str, str] | None = None,
+) -> CalibrationResult:
+    """Fit a lens to board views and doubt it: held-out error, halves against each other, structure, coverage, verdict.
+
+    Args:
+        views: Found corners, all from pictures of one size.
+        model: Key of ``LENSES``.
+        camera_name: For people.
+        reject_outliers: As in ``fit``.
+        is_board_free: As in ``fit``.
+        notes: Provenance to keep with the calibration.
+
+    Returns:
+        The calibration with residuals, outliers, verdict and warnings.
+
+    Raises:
+        TooFewViews: Fewer than three views, or views too alike to tell the parameters apart.
+        CalibrationError: Unknown model, pictures of different sizes, or boards no lens of the model can have seen.
+    """
+    from uvgs_bench.camera.verdict import judge_calibration
+
+    fitted = fit(views, model, reject_outliers=reject_outliers, is_board_free=is_board_free)
+    bundle, corners, kept = fitted.bundle, fitted.corners, fitted.kept
+    unseen = held_out(bundle, kept, fitted.prior)
+    covered = coverage(bundle, kept)
+    calibration = _calibration(fitted, unseen, camera_name, dict(notes or {}))
     everything = calibration
-    if not keep.all():
-        everything = _calibration(whole, corners, _covariance(whole, corners)[0], camera_name, 0, None, {})
+    if not fitted.keep.all():
+        plain = doubt_of(fitted.whole, corners, fitted.prior)
+        all_kept = replace(fitted, bundle=fitted.whole, keep=np.ones_like(fitted.keep), doubt=plain)
+        everything = _calibration(all_kept, None, camera_name, {})
     residuals = bundle.residuals_px(corners)
-    tilts = np.arccos(np.clip(np.abs(bundle.R_cb[:, 2, 2]), 0.0, 1.0))
-    covered = _covered_radius(bundle.lens, kept)
-    split = np.searchsorted(corners.view, np.arange(1, len(views)))
+    seen_px = float(np.linalg.norm(kept.px - bundle.lens.parameters[2:4], axis=1).max())
     squares = kept.per_view(_squared_length(bundle.residuals_px(kept)))
+    shape = None
+    if bundle.shape is not None and fitted.doubt.shape_covariance is not None:
+        shape = read_only(np.stack([bundle.shape, np.sqrt(np.diag(fitted.doubt.shape_covariance))]))
     result = CalibrationResult(
         calibration,
         everything,
         tuple(Pose(R, t, "camera", "board") for R, t in zip(bundle.R_cb, bundle.t_cb, strict=True)),
-        tuple(read_only(part) for part in np.split(residuals, split)),
-        _rejected(views, corners, keep, residuals),
+        tuple(read_only(part) for part in np.split(residuals, corners.bounds()[1:-1])),
+        _rejected(views, corners, fitted.keep, residuals),
         tuple(view.name for view in views),
         read_only(np.sqrt(squares / kept.per_view(np.ones(len(kept.px))))),
-        fold_rms_px,
-        condition,
-        float(tilts.max()),
-        covered,
+        read_only([]) if unseen is None else unseen.fold_rms_px,
+        fitted.doubt.condition,
+        float(covered.tilts_rad.max()),
+        seen_px / covered.picture_radius_px,
         (),
+        (),
+        read_only(fitted.doubt.view_noise_px),
+        read_only([]) if unseen is None else unseen.view_rms_px,
+        split_half(bundle, kept, fitted.prior, covered.radius_px),
+        residual_structure(bundle, kept),
+        covered,
+        shape,
     )
-    return replace(result, warnings=_warnings(result))
+    result = replace(result, warnings=_warnings(result))
+    return replace(result, calibration=replace(calibration, verdict=judge_calibration(result)))
+
+
+def _started(corners: Corners, model: str, width_px: int, height_px: int) -> tuple[Bundle, FloatArray | None]:
+    """First minimum, with the prior of lenses that need one, in units of the noise."""
+    names = LENSES[model].parameter_names
+    if prior_of(names, 1.0) is None:
+        return start(model, corners, width_px, height_px), None
+    best: Bundle | None = None
+    for bundle in grown(model, corners, width_px, height_px):
+        adjusted = adjust(bundle, corners, prior_of(names, min(_noise_px(bundle, corners), _EXPECTED_NOISE_PX)))
+        if best is None or _noise_px(adjusted, corners) < _noise_px(best, corners):
+            best = adjusted
+    assert best is not None
+    # Once more with the noise of the lens itself.
+    prior = prior_of(names, _noise_px(best, corners))
+    return adjust(best, corners, prior), prior
+
+
+def _noise_px(bundle: Bundle, corners: Corners) -> float:
+    """Standard deviation of a residual component, outliers apart, px."""
+    return max(1.4826 * float(np.median(np.abs(bundle.residuals_px(corners)))), 1e-12)
 
 
 def _squared_length(residuals: FloatArray) -> FloatArray:
@@ -167,16 +272,19 @@ def _squared_length(residuals: FloatArray) -> FloatArray:
     return result
 
 
-def _without_outliers(bundle: Bundle, corners: Corners) -> tuple[Bundle, NDArray[np.bool_]]:
+def _without_outliers(bundle: Bundle, corners: Corners, prior: FloatArray | None) -> tuple[Bundle, NDArray[np.bool_]]:
     """Set aside and adjust again until the set no longer changes."""
     keep = np.ones(len(corners.px), dtype=np.bool_)
     at_most = int(_MAX_OUTLIER_SHARE * len(corners.px))
     for _ in range(10):
         residuals = bundle.residuals_px(corners)
-        # Median absolute deviation of what is kept, as a standard deviation of a normal distribution.
+        # Median absolute deviations as standard deviations of a normal distribution. A blurred picture is judged by
+        # its own noise: cut at that of the others, it would look as sharp as they are.
         sigma = 1.4826 * float(np.median(np.abs(residuals[keep])))
+        own = [1.4826 * float(np.nanmedian(np.abs(residuals[a:b]))) for a, b in pairwise(corners.bounds())]
         worst = np.nan_to_num(np.abs(residuals).max(axis=1), nan=np.inf)
-        limit = max(_OUTLIER_SIGMAS * sigma, 1e-9)
+        worst = worst / np.maximum(np.maximum(sigma, own), 1e-9)[corners.view]
+        limit = _OUTLIER_SIGMAS
         if at_most < int((worst > limit).sum()):
             limit = float(np.sort(worst)[-at_most - 1])
         new = worst <= limit
@@ -186,87 +294,30 @@ def _without_outliers(bundle: Bundle, corners: Corners) -> tuple[Bundle, NDArray
         if (new == keep).all():
             break
         keep = new
-        bundle = adjust(bundle, corners.kept(keep))
+        bundle = adjust(bundle, corners.kept(keep), prior)
     return bundle, keep
 
 
-def _covariance(bundle: Bundle, corners: Corners) -> tuple[FloatArray, float]:
-    """Covariance of the lens parameters with all poses free, with N - p degrees of freedom, and the condition."""
-    residuals = bundle.residuals_px(corners)
-    unknowns = bundle.lens.parameters.size + 6 * corners.view_count
-    variance = float((residuals**2).sum()) / (residuals.size - unknowns)
-    S = information(bundle, corners).reduced.sum(axis=0)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))
-    scaled = scale[:, None] * S * scale
-    eigenvalues, vectors = np.linalg.eigh(scaled)
-    if not eigenvalues[0] > 1e-15 * eigenvalues[-1]:
-        raise TooFewViews(
-            f"the views do not tell the parameters of a {bundle.lens.model} lens apart: tilt the board in several "
-            "directions, at several distances, or choose a lens with fewer coefficients"
-        )
-    inverse = (vectors / eigenvalues) @ vectors.T
-    covariance = variance * scale[:, None] * inverse * scale
-    return 0.5 * (covariance + covariance.T), float(eigenvalues[-1] / eigenvalues[0])
-
-
-def _calibration(
-    bundle: Bundle,
-    corners: Corners,
-    covariance: FloatArray,
-    camera_name: str,
-    rejected_count: int,
-    held_out_rms_px: float | None,
-    notes: dict[str, str],
-) -> Calibration:
-    rms_px = float(np.sqrt(_squared_length(bundle.residuals_px(corners)).mean()))
+def _calibration(fitted: Fit, unseen: HeldOut | None, camera_name: str, notes: dict[str, str]) -> Calibration:
+    kept = fitted.kept
     return Calibration(
-        bundle.lens,
+        fitted.bundle.lens,
         camera_name,
-        covariance,
-        rms_px,
-        held_out_rms_px,
-        corners.view_count,
-        len(corners.px),
-        rejected_count,
+        fitted.doubt.covariance,
+        float(np.sqrt(_squared_length(fitted.bundle.residuals_px(kept)).mean())),
+        None if unseen is None else unseen.rms_px,
+        kept.view_count,
+        len(kept.px),
+        int((~fitted.keep).sum()),
         notes,
+        fitted.doubt.joint,
     )
-
-
-def _held_out(bundle: Bundle, corners: Corners) -> tuple[FloatArray, float | None]:
-    """K-fold by picture: pose from every other corner, error on the rest: a free pose must not hide a bad lens."""
-    count = corners.view_count
-    folds = min(_FOLDS, count)
-    if count - -(-count // folds) < MIN_VIEWS:
-        return read_only([]), None
-    fold_rms, squares = [], []
-    for fold in range(folds):
-        out = [i for i in range(count) if i % folds == fold]
-        rest = [i for i in range(count) if i % folds != fold]
-        fitted = adjust(Bundle(bundle.lens, bundle.R_cb[rest], bundle.t_cb[rest]), corners.only(rest))
-        unseen = corners.only(out)
-        posed = Bundle(fitted.lens, bundle.R_cb[out], bundle.t_cb[out])
-        is_even = _alternating(unseen)
-        errors = []
-        for half in (is_even, ~is_even):
-            refined = refine_poses(posed, unseen.kept(half))
-            errors.append(_squared_length(refined.residuals_px(unseen.kept(~half))))
-        together = np.concatenate(errors)
-        fold_rms.append(float(np.sqrt(together.mean())))
-        squares.append(together)
-    return read_only(fold_rms), float(np.sqrt(np.concatenate(squares).mean()))
-
-
-def _alternating(corners: Corners) -> NDArray[np.bool_]:
-    """Every other corner of each view."""
-    first = np.searchsorted(corners.view, np.arange(corners.view_count))
-    result: NDArray[np.bool_] = (np.arange(len(corners.view)) - first[corners.view]) % 2 == 0
-    return result
 
 
 def _rejected(
     views: Sequence[BoardView], corners: Corners, keep: NDArray[np.bool_], residuals: FloatArray
 ) -> tuple[RejectedCorner, ...]:
-    first = np.searchsorted(corners.view, np.arange(corners.view_count))
+    first = corners.bounds()[:-1]
     found = [
         RejectedCorner(
             views[corners.view[i]].name,
@@ -278,13 +329,6 @@ def _rejected(
         for i in np.flatnonzero(~keep)
     ]
     return tuple(sorted(found, key=lambda corner: -corner.residual_px))
-
-
-def _covered_radius(lens: Lens, corners: Corners) -> float:
-    centre = lens.parameters[2:4]
-    edges = np.array([[u, v] for u in (-0.5, lens.width_px - 0.5) for v in (-0.5, lens.height_px - 0.5)])
-    seen = float(np.linalg.norm(corners.px - centre, axis=1).max())
-    return seen / float(np.linalg.norm(edges - centre, axis=1).max())
 
 
 def _warnings(result: CalibrationResult) -> tuple[str, ...]:

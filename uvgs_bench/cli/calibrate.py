@@ -1,17 +1,20 @@
-"""``uvgs calibrate``: from pictures of a board to a camera file."""
+"""``uvgs calibrate``: from pictures of a board to a camera file, if the pictures deserve one."""
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uvgs_bench.cli.options import Force, Json, Quiet
-from uvgs_bench.errors import ConfigError
+from uvgs_bench.cli.options import Json, Quiet
+from uvgs_bench.errors import ConfigError, ExitCode
+from uvgs_bench.units import deg_from_rad, mm_from_m, mrad_from_rad
 
 if TYPE_CHECKING:
     from uvgs_bench.camera import CalibrationResult
+    from uvgs_bench.camera.calibration import Verdict
 
 
 def calibrate(
@@ -23,15 +26,26 @@ def calibrate(
     ] = "plumb_bob",
     name: Annotated[str, typer.Option("--name", help="Camera name; the file's own name by default.")] = "",
     glob: Annotated[str, typer.Option("--glob", help="Only pictures of this pattern, for example 'left*.jpg'.")] = "",
-    no_reject: Annotated[bool, typer.Option("--no-reject", help="Keep every corner, outliers too.")] = False,
+    no_reject: Annotated[
+        bool, typer.Option("--no-reject", help="Plain least squares: keep every corner, one noise for all.")
+    ] = False,
+    board_shape: Annotated[
+        bool, typer.Option("--board-shape", help="Also estimate the bow and the stretch of the printed board.")
+    ] = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many captures.")] = None,
-    force: Force = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the camera file, and write one that is not usable, saying so.")
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Calibrate a camera from pictures of a board."""
+    """Calibrate a camera from pictures of a board.
+
+    Exit code 0: usable, at least within a radius. 1: not usable. 3: too few pictures to tell. With 1 and 3 no camera
+    file is written unless --force is given; it then carries the verdict.
+    """
     from uvgs_bench.camera import LENSES
-    from uvgs_bench.cli.console import emit_json, print_path, progress_sink
+    from uvgs_bench.cli.console import console, emit_json, print_path, progress_sink
     from uvgs_bench.devices.cameras.registry import open_camera
     from uvgs_bench.sessions.calibrate import calibrate_from_source
     from uvgs_bench.store.boards import read_board
@@ -53,23 +67,39 @@ def calibrate(
             camera_name=name or out.stem,
             reject_outliers=not no_reject,
             limit=limit,
+            is_board_free=board_shape,
         )
+    verdict = result.calibration.verdict
+    assert verdict is not None
     if not as_json:
         # Before writing, so that a full disk takes the file but not the numbers.
         _show(result)
-    write_calibration(out, result.calibration, force=force)
+        _show_verdict(verdict)
+    is_written = verdict.is_usable or force
+    if is_written:
+        write_calibration(out, result.calibration, force=force)
     if as_json:
-        emit_json(_summary(result, out))
-        return
-    print_path("written", out)
+        emit_json(_summary(result, out if is_written else None))
+    elif is_written:
+        print_path("written", out)
+    else:
+        console.print(f"nothing written: --force writes {out} with this verdict in it", markup=False)
+    if not verdict.is_usable:
+        raise typer.Exit(ExitCode.INCONCLUSIVE if verdict.word == "inconclusive" else ExitCode.LIMITS_MISSED)
 
 
-def _summary(result: CalibrationResult, out: Path) -> dict[str, object]:
+def _summary(result: CalibrationResult, out: Path | None) -> dict[str, object]:
     fitted, everything = result.calibration, result.all_corners
+    halves, verdict, held_out = result.split_half, fitted.verdict, fitted.held_out_rms_px
+    assert verdict is not None
     assert fitted.sigmas is not None
     names = fitted.lens.parameter_names
     return {
-        "camera": str(out),
+        "camera": None if out is None else str(out),
+        "verdict": verdict.word,
+        "usable_radius_px": verdict.radius_px,
+        "reasons": list(verdict.reasons),
+        "next_pictures": list(verdict.next_pictures),
         "model": fitted.lens.model,
         "width_px": fitted.lens.width_px,
         "height_px": fitted.lens.height_px,
@@ -77,7 +107,25 @@ def _summary(result: CalibrationResult, out: Path) -> dict[str, object]:
         "sigmas": dict(zip(names, fitted.sigmas.tolist(), strict=True)),
         "rms_px": fitted.rms_px,
         "rms_per_axis_px": fitted.rms_per_axis_px,
-        "held_out_rms_px": fitted.held_out_rms_px,
+        "rms_mrad": float(mrad_from_rad(result.structure.rms_rad)),
+        "held_out_rms_px": held_out if held_out is not None and isfinite(held_out) else None,
+        "split_half": None
+        if halves is None
+        else {
+            "difference_px": halves.difference_px,
+            "predicted_px": halves.predicted_px,
+            "ratio": halves.ratio,
+        },
+        "neighbour_correlation": result.structure.neighbour_correlation,
+        "systematic_px": result.structure.systematic_px,
+        "kurtosis": result.structure.kurtosis,
+        "ring_radius_px": result.structure.ring_radius_px.tolist(),
+        "ring_rms_px": result.structure.ring_rms_px.tolist(),
+        "covered_radius_px": result.coverage.radius_px,
+        "coverage": result.coverage.counts.tolist(),
+        "tilt_deg": [float(deg_from_rad(angle)) for angle in result.coverage.tilts_rad],
+        "distance_m": result.coverage.distances_m.tolist(),
+        "board_shape": None if result.board_shape is None else result.board_shape.tolist(),
         "rms_all_corners_px": everything.rms_px,
         "parameters_all_corners": dict(zip(names, everything.lens.parameters.tolist(), strict=True)),
         "views": dict(zip(result.view_names, result.view_rms_px.tolist(), strict=True)),
@@ -115,12 +163,35 @@ def _show(result: CalibrationResult) -> None:
         out_of_all = [f"{everything.lens.parameters[i]:.{digits}f}"] if result.rejected else []
         table.add_row(name + (" px" if i < 4 else ""), *cells, *out_of_all)
     out.print(table)
-    per_axis = f"{fitted.rms_per_axis_px:.4f} px per axis"
+    mrad = float(mrad_from_rad(result.structure.rms_rad))
+    per_axis = f"{fitted.rms_per_axis_px:.4f} px per axis = {mrad:.3f} mrad"
     out.print(f"RMS          {fitted.rms_px:.4f} px (of residual lengths) = {per_axis}")
     if result.rejected:
         out.print(f"  all corners {everything.rms_px:.4f} px before outliers were set aside", style="dim")
     held_out = "too few views" if fitted.held_out_rms_px is None else f"{fitted.held_out_rms_px:.4f} px"
     out.print(f"held out     {held_out}")
+    halves = result.split_half
+    if halves is not None:
+        out.print(
+            f"two halves   differ by {halves.difference_px:.3f} px, predicted {halves.predicted_px:.3f} px: "
+            f"ratio {halves.ratio:.2f}"
+        )
+    structure, covered = result.structure, result.coverage
+    out.print(
+        f"residuals    neighbours correlate {structure.neighbour_correlation:.2f}, kurtosis {structure.kurtosis:.1f}"
+    )
+    tilts, distances = deg_from_rad(covered.tilts_rad), covered.distances_m
+    out.print(
+        f"coverage     to {covered.radius_px:.0f} of {covered.picture_radius_px:.0f} px, tilts {tilts.min():.0f} to "
+        f"{tilts.max():.0f} deg, distances {distances.min():.2f} to {distances.max():.2f} m"
+    )
+    if result.board_shape is not None:
+        (bow_x, bow_y, stretch), (bow_x_sigma, bow_y_sigma, stretch_sigma) = result.board_shape
+        bows = " and ".join(
+            f"{mm_from_m(bow):.2f} ± {mm_from_m(sigma):.2f} mm along {axis}"
+            for axis, bow, sigma in (("x", bow_x, bow_x_sigma), ("y", bow_y, bow_y_sigma))
+        )
+        out.print(f"board        bow {bows}; y longer by {100 * stretch:.3f} ± {100 * stretch_sigma:.3f} %")
     missed = Counter(miss.reason for miss in result.misses)
     reasons = "".join(f", {count} {escape(reason)}" for reason, count in missed.most_common())
     out.print(f"views        {fitted.view_count} used{reasons}")
@@ -132,3 +203,20 @@ def _show(result: CalibrationResult) -> None:
         )
     if len(result.rejected) > 5:
         out.print(f"  and {len(result.rejected) - 5} more (see --json)", style="dim")
+
+
+def _show_verdict(verdict: Verdict) -> None:
+    """Print a verdict with its reasons and the pictures to take next."""
+    from uvgs_bench.cli.console import out
+
+    words = {
+        "usable": "USABLE",
+        "usable_within_radius": f"USABLE WITHIN {verdict.radius_px:.0f} px of the principal point",
+        "not_usable": "NOT USABLE",
+        "inconclusive": "INCONCLUSIVE",
+    }
+    out.print(f"verdict      {words[verdict.word]}", style="bold green" if verdict.is_usable else "bold red")
+    for reason in verdict.reasons:
+        out.print(f"  because {reason}", markup=False)
+    for wish in verdict.next_pictures:
+        out.print(f"  next: {wish}", markup=False)

@@ -34,6 +34,7 @@ def calibrate_from_source(
     camera_name: str = "",
     reject_outliers: bool = True,
     limit: int | None = None,
+    is_board_free: bool = False,
 ) -> CalibrationResult:
     """Find the board in every capture of a source and fit a lens.
 
@@ -45,6 +46,7 @@ def calibrate_from_source(
         camera_name: For people.
         reject_outliers: Whether outlier corners are set aside.
         limit: At most so many captures; a live camera needs one.
+        is_board_free: Whether the bow and the stretch of the printed board are estimated too.
 
     Returns:
         The calibration, with the pictures in which no usable board was found in ``misses``.
@@ -72,7 +74,14 @@ def calibrate_from_source(
         "numpy": version("numpy"),
         "opencv": _opencv_version(),
     }
-    result = calibrate(views, model, camera_name=camera_name, reject_outliers=reject_outliers, notes=notes)
+    result = calibrate(
+        views,
+        model,
+        camera_name=camera_name,
+        reject_outliers=reject_outliers,
+        is_board_free=is_board_free,
+        notes=notes,
+    )
     for text in result.warnings:
         sink(Remark("warning", text))
     fitted = result.calibration

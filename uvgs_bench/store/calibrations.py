@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from uvgs_bench.camera import LENSES, Lens
-from uvgs_bench.camera.calibration import Calibration
+from uvgs_bench.camera.calibration import Calibration, Verdict
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.store.documents import parse_document, read_text, write_atomically
@@ -67,6 +67,12 @@ class _Doubt:
     corner_count: int = 0
     rejected_count: int = 0
     notes: dict[str, str] = field(default_factory=dict)
+    verdict: str | None = None
+    usable_radius_px: float = 0.0
+    reasons: list[str] = field(default_factory=list)
+    next_pictures: list[str] = field(default_factory=list)
+    # Of the parameters and the mean twist of the boards: the projection uncertainty at any pixel and distance.
+    joint_covariance: _Matrix | None = None
 
 
 def read_calibration(path: Path | str) -> Calibration:
@@ -107,9 +113,14 @@ def read_calibration(path: Path | str) -> Calibration:
             doubt.corner_count,
             doubt.rejected_count,
             dict(doubt.notes),
+            None if doubt.joint_covariance is None else doubt.joint_covariance.array(),
+            None
+            if doubt.verdict is None
+            else Verdict(doubt.verdict, doubt.usable_radius_px, tuple(doubt.reasons), tuple(doubt.next_pictures)),
         )
     except CalibrationError as error:
-        raise ConfigError(str(error), str(path), "uvgs.covariance") from None
+        key = "uvgs.verdict" if "verdict" in str(error) else "uvgs.covariance"
+        raise ConfigError(str(error), str(path), key) from None
 
 
 def write_calibration(path: Path | str, calibration: Calibration, *, force: bool = False) -> None:
@@ -131,17 +142,27 @@ def calibration_text(calibration: Calibration) -> str:
     """The YAML text of a calibration."""
     lens = calibration.lens
     K = lens.camera_matrix()
-    doubt: dict[str, object] = {"schema": _SCHEMA, "parameters": list(lens.parameter_names)}
+    doubt: dict[str, object] = {"schema": _SCHEMA}
+    verdict = calibration.verdict
+    if verdict is not None:
+        doubt["verdict"] = verdict.word
+        doubt["usable_radius_px"] = float(verdict.radius_px)
+        doubt["reasons"] = list(verdict.reasons)
+        doubt["next_pictures"] = list(verdict.next_pictures)
+    doubt["parameters"] = list(lens.parameter_names)
     if calibration.covariance is not None:
         doubt["covariance"] = _matrix(calibration.covariance)
     for key in ("rms_px", "held_out_rms_px"):
         value = getattr(calibration, key)
-        if value is not None:
+        # A held-out error is infinite when the lens could not see a corner; that is no number for a file.
+        if value is not None and np.isfinite(value):
             doubt[key] = float(value)
     doubt["view_count"] = calibration.view_count
     doubt["corner_count"] = calibration.corner_count
     doubt["rejected_count"] = calibration.rejected_count
     doubt["notes"] = dict(calibration.notes)
+    if calibration.joint_covariance is not None:
+        doubt["joint_covariance"] = _matrix(calibration.joint_covariance)
     document = {
         "image_width": lens.width_px,
         "image_height": lens.height_px,
