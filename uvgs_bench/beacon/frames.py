@@ -89,13 +89,16 @@ def fit_rigid(
 
 
 def fit_rigid_robust(a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As ``fit_rigid``, but points that do not fit count little: least sum of distances instead of squares."""
-    weights = np.ones(len(a_m))
-    R, t = fit_rigid(a_m, b_m)
-    for _ in range(60):
-        distance = np.linalg.norm(a_m @ R.T + t - b_m, axis=1)
-        weights = 1.0 / np.maximum(distance, 1e-6)
-        R, t = fit_rigid(a_m, b_m, weights / weights.sum())
+    """As ``fit_rigid``, but without the one point that fits worst, where the others then agree far better."""
+
+    def fit_without(k: int) -> tuple[float, FloatArray, FloatArray]:
+        kept = np.arange(len(a_m)) != k
+        R, t = fit_rigid(a_m[kept], b_m[kept])
+        return float(np.sqrt(np.mean((a_m[kept] @ R.T + t - b_m[kept]) ** 2))), R, t
+
+    whole = fit_without(-1)
+    best = min((fit_without(k) for k in range(len(a_m))), key=lambda fit: fit[0])
+    _, R, t = best if best[0] < 0.4 * whole[0] else whole
     return R, t
 
 

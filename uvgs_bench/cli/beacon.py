@@ -7,9 +7,11 @@ from typing import Annotated
 
 import typer
 
+from uvgs_bench.cli.beacon_measure import measure
 from uvgs_bench.cli.options import Json
 
-app = typer.Typer(help="Show a beacon file and check whether it can be told apart from itself.", no_args_is_help=True)
+app = typer.Typer(help="Measure a beacon, show it, and check whether it can be told apart.", no_args_is_help=True)
+app.command("measure")(measure)
 _File = Annotated[Path, typer.Argument(help="Beacon file, TOML.")]
 
 
