@@ -32,6 +32,8 @@ _GATE_SIGMAS = 6.0
 # As many LEDs explained beyond a triple, and half of all, leave nothing to chance; further triples are not tried.
 _CERTAIN_BEYOND = 3
 _CERTAIN_CHI2_PER_DOF = 6.0
+# Seconds of work: beyond this many poses the search stops, and chance is judged by what was tried.
+_MOST_TRIED = 2_000_000
 _SAME_COSINE = 0.9998
 _SAME_SHIFT = 0.02
 
@@ -282,7 +284,7 @@ def search_labelings(
     t_new = np.empty(3)
     certain = False
     for j in range(blob_triples.shape[0]):
-        if certain:
+        if certain or tried > _MOST_TRIED:
             break
         span = 0.0
         for c in range(3):
