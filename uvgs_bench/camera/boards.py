@@ -27,7 +27,12 @@ if TYPE_CHECKING:
 BOARDS: dict[str, str] = {
     "chessboard": "uvgs_bench.camera.board_chessboard",
     "charuco": "uvgs_bench.camera.board_charuco",
+    "circles": "uvgs_bench.camera.board_circles",
+    "asymmetric_circles": "uvgs_bench.camera.board_circles",
+    "led_grid": "uvgs_bench.camera.board_led_grid",
 }
+WITH_DISCS = ("circles", "asymmetric_circles", "led_grid")
+"""Kinds with ``diameter_m``."""
 # Fewer points than this cannot hold a pose and a doubt.
 MIN_POINTS = 8
 _MOST_POINTS = 10_000
@@ -40,12 +45,13 @@ class Board:
     Args:
         name: For people.
         kind: Key of ``BOARDS``.
-        columns: Inner corners (chessboard) or squares (ChArUco) along x.
+        columns: Inner corners (chessboard), squares (ChArUco), circles or lights along x.
         rows: The same along y.
-        square_m: Side of a square, m.
+        square_m: Side of a square, or pitch of the grid, m.
         marker_m: Side of a marker, m; 0 where the kind has none.
         dictionary: Name of the marker dictionary; empty where the kind has none.
         legacy: Whether a ChArUco board has the pattern of OpenCV before 4.6.
+        diameter_m: Diameter of a circle or light, m; 0 where the kind has none.
 
     Raises:
         CalibrationError: Unknown kind, fewer than 3 columns or rows, or sizes that cannot be.
@@ -59,6 +65,7 @@ class Board:
     marker_m: float = 0.0
     dictionary: str = ""
     legacy: bool = False
+    diameter_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.kind not in BOARDS:
@@ -70,6 +77,10 @@ class Board:
         if self.kind == "charuco" and not 0.0 < self.marker_m < self.square_m:
             raise CalibrationError(
                 f"marker side {self.marker_m} m must be between 0 and the square side {self.square_m} m"
+            )
+        if self.kind in WITH_DISCS and not 0.0 < self.diameter_m < self.square_m:
+            raise CalibrationError(
+                f"diameter {self.diameter_m} m must be between 0 and the pitch of the grid {self.square_m} m"
             )
 
     @property
@@ -117,7 +128,7 @@ class BoardMiss:
 
 
 class BoardKind(Protocol):
-    """What a kind of board can do; a module with these functions."""
+    """What a kind of board can do: a module with these functions, and ``MARGIN`` where its ground is not white."""
 
     def points(self, board: Board) -> FloatArray:
         """All points in the board frame, shape (N, 3), m."""
@@ -177,7 +188,7 @@ def find_board(image: NDArray[np.generic], board: Board, name: str = "") -> Boar
 
 
 def board_texture(board: Board, px_per_square: int = 64) -> tuple[GreyImage, float, FloatArray]:
-    """The board as it would be printed, with a white margin of one square, for rendering.
+    """The board as it would be printed, with a margin of one square (white; black around lights), for rendering.
 
     Args:
         board: The board.
@@ -189,7 +200,8 @@ def board_texture(board: Board, px_per_square: int = 64) -> tuple[GreyImage, flo
     """
     picture, corner = _kind(board).draw(board, px_per_square)
     margin = px_per_square
-    texture = np.pad(picture, margin, constant_values=255)
+    ground = getattr(_kind(board), "MARGIN", 255)
+    texture = np.pad(picture, margin, constant_values=ground)
     px_m = board.square_m / px_per_square
     origin = np.array(corner) * board.square_m - (margin - 0.5) * px_m
     return texture, px_m, read_only(origin)

@@ -6,7 +6,7 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
-from uvgs_bench.camera.boards import BOARDS, Board, check_board
+from uvgs_bench.camera.boards import BOARDS, WITH_DISCS, Board, check_board
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.store.documents import read_document
 from uvgs_bench.units import m_from_mm
@@ -21,22 +21,36 @@ class BoardFile:
     Args:
         name: For people.
         kind: Key of ``BOARDS``.
-        columns: Inner corners (chessboard) or squares (ChArUco) along x.
+        columns: Inner corners (chessboard), squares (ChArUco), circles or lights along x.
         rows: The same along y.
-        square_mm: Side of a square, mm, as measured on the print.
+        square_mm: Side of a square, mm, as measured on the print; chessboard and ChArUco.
         marker_mm: Side of a marker, mm; ChArUco only.
         dictionary: Marker dictionary by its OpenCV name; ChArUco only.
         legacy: ChArUco pattern of OpenCV before 4.6.
+        pitch_mm: Distance of neighbouring circles or lights, mm; between rows where they are staggered.
+        diameter_mm: Diameter of a circle or light, mm.
     """
 
     name: str
     kind: str
     columns: int
     rows: int
-    square_mm: float
+    square_mm: float | None = None
     marker_mm: float | None = None
     dictionary: str = ""
     legacy: bool = False
+    pitch_mm: float | None = None
+    diameter_mm: float | None = None
+
+
+# Keys that some kinds need and the others must not have.
+_KEYS_OF_KIND: dict[str, tuple[str, ...]] = {
+    "square_mm": ("chessboard", "charuco"),
+    "marker_mm": ("charuco",),
+    "dictionary": ("charuco",),
+    "pitch_mm": WITH_DISCS,
+    "diameter_mm": WITH_DISCS,
+}
 
 
 def read_board(path: Path | str) -> Board:
@@ -57,30 +71,33 @@ def read_board(path: Path | str) -> Board:
         near = difflib.get_close_matches(read.kind, BOARDS, n=1)
         hint = f", did you mean '{near[0]}'?" if near else f", expected one of: {', '.join(BOARDS)}"
         raise ConfigError(f"unknown kind '{read.kind}'{hint}", str(path), "kind")
-    has_markers = read.kind == "charuco"
-    for key, value in (("marker_mm", read.marker_mm), ("dictionary", read.dictionary)):
-        if has_markers and not value:
+    for key, kinds in _KEYS_OF_KIND.items():
+        value = getattr(read, key)
+        # Nought is a wrong length, not a missing one.
+        is_said = value is not None and value != ""
+        if read.kind in kinds and not is_said:
             raise ConfigError(f"a {read.kind} board needs this key", str(path), key)
-        if not has_markers and value:
-            raise ConfigError(f"a {read.kind} board has no markers", str(path), key)
-    for key in ("square_mm", "marker_mm"):
+        if read.kind not in kinds and is_said:
+            has = "such key" if key == "square_mm" or "charuco" not in kinds else "markers"
+            raise ConfigError(f"a {read.kind} board has no {has}", str(path), key)
+        if key.endswith("_mm") and is_said and not 0.0 < value <= _LONGEST_MM:
+            raise ConfigError(f"must be between 0 and {_LONGEST_MM:.0f}, got {value}", str(path), key)
+    step_mm = read.square_mm or read.pitch_mm or 0.0
+    for key, within in (("marker_mm", "square_mm"), ("diameter_mm", "pitch_mm")):
         length_mm = getattr(read, key)
-        if length_mm is not None and not 0.0 < length_mm <= _LONGEST_MM:
-            raise ConfigError(f"must be between 0 and {_LONGEST_MM:.0f}, got {length_mm}", str(path), key)
-    if has_markers and read.marker_mm is not None and read.marker_mm >= read.square_mm:
-        raise ConfigError(
-            f"must be less than square_mm = {read.square_mm}, got {read.marker_mm}", str(path), "marker_mm"
-        )
+        if length_mm is not None and length_mm >= step_mm:
+            raise ConfigError(f"must be less than {within} = {step_mm}, got {length_mm}", str(path), key)
     try:
         board = Board(
             read.name,
             read.kind,
             read.columns,
             read.rows,
-            m_from_mm(read.square_mm),
+            m_from_mm(step_mm),
             m_from_mm(read.marker_mm or 0.0),
             read.dictionary,
             read.legacy,
+            m_from_mm(read.diameter_mm or 0.0),
         )
         check_board(board)
     except CalibrationError as error:
