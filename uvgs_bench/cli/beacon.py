@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from uvgs_bench.cli.beacon_measure import measure
-from uvgs_bench.cli.options import Json
+from uvgs_bench.cli.options import Force, Json
+from uvgs_bench.errors import ConfigError
 
 app = typer.Typer(help="Measure a beacon, show it, and check whether it can be told apart.", no_args_is_help=True)
 app.command("measure")(measure)
@@ -16,8 +17,13 @@ _File = Annotated[Path, typer.Argument(help="Beacon file, TOML.")]
 
 
 @app.command("show")
-def show(file: _File, as_json: Json = False) -> None:
-    """Print the LEDs of a beacon."""
+def show(
+    file: _File,
+    picture: Annotated[Path | None, typer.Option("--picture", help="Also draw LEDs and frame: PNG, PDF, SVG.")] = None,
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """Print the LEDs of a beacon, and draw them in their frame."""
     from rich.table import Table
 
     from uvgs_bench.beacon.checks import size_m, thickness_m
@@ -26,6 +32,11 @@ def show(file: _File, as_json: Json = False) -> None:
     from uvgs_bench.units import deg_from_rad, mm_from_m
 
     beacon = read_beacon(file)
+    if picture is not None:
+        from uvgs_bench.report.beacon_page import write_beacon_picture
+
+        _refuse_existing(picture, force)
+        write_beacon_picture(picture, beacon)
     size_mm, thickness_mm = mm_from_m(size_m(beacon)), mm_from_m(thickness_m(beacon))
     if as_json:
         leds = [{"name": led.name, "position_mm": mm_from_m(led.position_m)} for led in beacon.leds]
@@ -46,9 +57,26 @@ def show(file: _File, as_json: Json = False) -> None:
     out.print(table)
 
 
+def _refuse_existing(path: Path, force: bool) -> None:
+    if path.exists() and not force:
+        raise ConfigError("exists already; use --force to replace it", str(path))
+
+
 @app.command("check")
-def check(file: _File, as_json: Json = False) -> None:
-    """Warn, with numbers, when a beacon is flat, too symmetric, or nearly its own mirror image."""
+def check(
+    file: _File,
+    camera: Annotated[
+        Path | None, typer.Option("--camera", help="Camera file: forecast accuracy and safety of labels with it.")
+    ] = None,
+    near: Annotated[float, typer.Option("--near", help="Nearest range, m.")] = 0.4,
+    far: Annotated[float, typer.Option("--far", help="Farthest range, m.")] = 3.0,
+    tilt: Annotated[float, typer.Option("--tilt", help="Widest tilt, degrees.")] = 45.0,
+    sigma_px: Annotated[float, typer.Option("--sigma-px", min=1e-3, help="Deviation of a centroid, px.")] = 0.1,
+    page: Annotated[Path | None, typer.Option("--page", help="Draw one page of it: PNG, PDF or SVG.")] = None,
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """Warn, with numbers, when a beacon is flat, too symmetric, or its own mirror image; with a camera, forecast it."""
     from rich.markup import escape
 
     from uvgs_bench.beacon import check_beacon
@@ -57,17 +85,29 @@ def check(file: _File, as_json: Json = False) -> None:
     from uvgs_bench.store.beacons import read_beacon
     from uvgs_bench.units import mm_from_m
 
-    warnings = check_beacon(read_beacon(file))
+    beacon = read_beacon(file)
+    warnings = check_beacon(beacon)
+    record: dict[str, object] = {
+        "warnings": [
+            {"kind": w.kind, "value_mm": mm_from_m(w.value_m), "limit_mm": mm_from_m(w.limit_m), "text": w.text}
+            for w in warnings
+        ]
+    }
+    lines: list[str] = []
+    if camera is not None:
+        from uvgs_bench.cli.beacon_forecast import forecast
+
+        lines, more = forecast(beacon, camera, near, far, tilt, sigma_px, page, force)
+        record |= more
+    elif page is not None:
+        raise ConfigError("needs --camera", "--page")
     if as_json:
-        emit_json({
-            "warnings": [
-                {"kind": w.kind, "value_mm": mm_from_m(w.value_m), "limit_mm": mm_from_m(w.limit_m), "text": w.text}
-                for w in warnings
-            ]
-        })  # fmt: skip
+        emit_json(record)
     else:
         for warning in warnings:
             out.print(f"[yellow]{warning.kind}:[/] {escape(warning.text)}", soft_wrap=True)
         if not warnings:
             out.print("[green]no weakness found[/]")
+        for line in lines:
+            out.print(escape(line), soft_wrap=True)
     raise typer.Exit(int(ExitCode.LIMITS_MISSED if warnings else ExitCode.DONE))
