@@ -205,7 +205,8 @@ def _colours(image: ImageArray, boxes: FloatArray, full_scale: float) -> tuple[F
         return hue, saturation
     for i, (x0, y0, x1, y1) in enumerate(boxes.astype(int)):
         part = image[max(0, y0 - 2) : y1 + 3, max(0, x0 - 2) : x1 + 3].reshape(-1, 3).astype(np.float64)
-        dark = np.percentile(part, 10, axis=0)
+        tenth = len(part) // 10
+        dark = np.partition(part, tenth, axis=0)[tenth]
         open_pixels = part[(part < full_scale).all(axis=1)]
         blue, green, red = np.maximum((open_pixels - dark).sum(axis=0), 0.0)
         high, low = max(blue, green, red), min(blue, green, red)
