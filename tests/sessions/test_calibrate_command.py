@@ -223,3 +223,12 @@ def test_verdict_and_joint_covariance_travel_with_the_file(pictures, tmp_path, c
     # Drawn flat and square: bow below a tenth of a millimetre, stretch below a thousandth.
     assert max(abs(bow_x_m), abs(bow_y_m)) < 2e-4
     assert abs(stretch) < 1e-3
+
+
+def test_pictures_choose_the_lens_when_asked(pictures, tmp_path, capsys):
+    out = tmp_path / "camera.yaml"
+    assert run("calibrate", f"images:{pictures}", "--board", BOARD, "--out", out, "--model", "auto", "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    calibration = read_calibration(out)
+    assert calibration.lens.model == summary["model"]
+    assert calibration.notes["lens_choice"].count("unseen") == 5

@@ -22,7 +22,7 @@ def calibrate(
     board: Annotated[Path, typer.Option("--board", help="Board file.")],
     out: Annotated[Path, typer.Option("--out", help="Camera file to write (camera_info YAML).")],
     model: Annotated[
-        str, typer.Option("--model", help="plumb_bob, rational_polynomial, thin_prism, equidistant or fov.")
+        str, typer.Option("--model", help="plumb_bob, rational_polynomial, thin_prism, equidistant, fov, or auto.")
     ] = "plumb_bob",
     name: Annotated[str, typer.Option("--name", help="Camera name; the file's own name by default.")] = "",
     glob: Annotated[str, typer.Option("--glob", help="Only pictures of this pattern, for example 'left*.jpg'.")] = "",
@@ -47,13 +47,13 @@ def calibrate(
     from uvgs_bench.camera import LENSES
     from uvgs_bench.cli.console import console, emit_json, print_path, progress_sink
     from uvgs_bench.devices.cameras.registry import open_camera
-    from uvgs_bench.sessions.calibrate import calibrate_from_source
+    from uvgs_bench.sessions.calibrate import AUTO_LENS, calibrate_from_source
     from uvgs_bench.store.boards import read_board
     from uvgs_bench.store.calibrations import write_calibration
     from uvgs_bench.store.documents import check_writable
 
     check_writable(out, force=force)
-    if model not in LENSES:
+    if model not in (*LENSES, AUTO_LENS):
         raise ConfigError(f"unknown lens model '{model}', expected one of {', '.join(LENSES)}", "--model")
     if glob:
         source += ("&" if "?" in source else "?") + f"glob={glob}"

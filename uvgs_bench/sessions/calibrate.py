@@ -14,6 +14,7 @@ from uvgs_bench import __version__
 from uvgs_bench.camera import Board, BoardView, CalibrationResult, calibrate, find_board
 from uvgs_bench.camera.boards import BoardMiss
 from uvgs_bench.camera.fitting import MIN_VIEWS
+from uvgs_bench.camera.lens_choice import choose_lens
 from uvgs_bench.devices.cameras.source import CameraSource
 from uvgs_bench.errors import CaptureError, ConfigError, TooFewViews
 from uvgs_bench.sensor.capture import Capture
@@ -23,6 +24,9 @@ from uvgs_bench.units import mm_from_m
 # OpenCV works outside the interpreter lock; more pictures in flight only cost memory.
 _WORKERS = 2
 _IN_FLIGHT = 4
+
+AUTO_LENS = "auto"
+"""In place of a lens: the pictures choose it."""
 
 
 def calibrate_from_source(
@@ -41,7 +45,7 @@ def calibrate_from_source(
     Args:
         source: Captures of the board; it stays open.
         board: The board as declared.
-        model: Key of ``LENSES``.
+        model: Key of ``LENSES``, or ``auto`` to compare them on pictures they have not seen.
         sink: Where progress and remarks go.
         camera_name: For people.
         reject_outliers: Whether outlier corners are set aside.
@@ -74,6 +78,15 @@ def calibrate_from_source(
         "numpy": version("numpy"),
         "opencv": _opencv_version(),
     }
+    if model == AUTO_LENS:
+        choice = choose_lens(views)
+        for trial in choice.trials:
+            if trial.remark:
+                sink(Remark("info", trial.remark))
+        model = choice.model
+        notes["lens_choice"] = "; ".join(
+            f"{trial.model} {trial.rms_px:.4f} px, unseen {trial.held_out_rms_px:.4f} px" for trial in choice.trials
+        )
     result = calibrate(
         views,
         model,
