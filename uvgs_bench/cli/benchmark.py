@@ -9,11 +9,13 @@ import typer
 
 from uvgs_bench.cli.benchmark_centroids import centroids
 from uvgs_bench.cli.benchmark_detection import detection
+from uvgs_bench.cli.benchmark_labels import labels
 from uvgs_bench.cli.benchmark_solvers import solvers
 from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Json, Quiet, Seed
 
 app = typer.Typer(help="Measure the sensor next to its peers: speed, solvers, detection.", no_args_is_help=True)
 app.command("solvers")(solvers)
+app.command("labels")(labels)
 app.command("detection")(detection)
 app.command("centroids")(centroids)
 
