@@ -44,6 +44,9 @@ def measure(
     scale_ppm: Annotated[
         float, typer.Option("--scale-ppm", min=1.0, help="Deviation of the gantry's or the board's scale, ppm.")
     ] = 200.0,
+    squareness: Annotated[
+        float, typer.Option("--squareness-mrad", min=1e-3, help="Deviation of the gantry's squareness, mrad.")
+    ] = 0.2,
     fixed_lens: Annotated[bool, typer.Option("--fixed-lens", help="Take the camera file as exact.")] = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many pictures.")] = None,
     force: Force = False,
@@ -59,7 +62,7 @@ def measure(
     from uvgs_bench.store.boards import read_board
     from uvgs_bench.store.calibrations import read_calibration
     from uvgs_bench.store.run import is_run, read_run
-    from uvgs_bench.units import m_from_mm
+    from uvgs_bench.units import m_from_mm, rad_from_mrad
 
     if out.exists() and not force:
         raise ConfigError("exists already; use --force to replace it", str(out))
@@ -81,6 +84,7 @@ def measure(
         tuple(_caliper(text, meant, m_from_mm(caliper_sigma)) for text in caliper or ()),
         station_sigma_m=m_from_mm(station_sigma),
         scale_sigma=scale_ppm * 1e-6,
+        squareness_sigma_rad=rad_from_mrad(squareness),
         board_scale_sigma=scale_ppm * 1e-6,
         nominal_sigma_m=m_from_mm(nominal_sigma),
         is_lens_fixed=fixed_lens,
