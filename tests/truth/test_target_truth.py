@@ -9,7 +9,7 @@ import pytest
 
 from uvgs_bench.camera import Board, BoardView, Lens, calibrate, find_board
 from uvgs_bench.camera.board_circles import circle_centre_bias, corrected_view
-from uvgs_bench.camera.boards import BoardMiss
+from uvgs_bench.camera.boards import BoardMiss, board_texture
 from uvgs_bench.devices.sim.bench import true_lens
 from uvgs_bench.devices.sim.board_views import SimulatedBoardSource
 from uvgs_bench.devices.sim.truth import SimulatedTruth
@@ -132,6 +132,62 @@ def test_what_does_not_fit_is_named(seen):
         assert miss(np.full_like(image, 127), board) == "board_not_found"
     assert miss(image, replace(board, columns=board.columns - 1)) == "board_larger_than_declared"
     assert miss(image, replace(board, columns=board.columns + 1)) == "board_smaller_than_declared"
+
+
+def test_tags_of_an_aprilgrid_are_found_and_numbered_as_in_kalibr():
+    board = Board("g", "aprilgrid", 6, 4, 0.035 * 1.3, 0.035)
+    # Kalibr: point 0 is the lower left corner of tag 0 at the lower left; y is down in the board frame.
+    bottom = 3 * 0.035 * 1.3 + 0.035
+    np.testing.assert_allclose(board.points_m[0], [0.0, bottom, 0.0], atol=1e-12)
+    np.testing.assert_allclose(board.points_m[1], [0.035, bottom, 0.0], atol=1e-12)
+    np.testing.assert_allclose(board.points_m[12], [0.0, bottom - 0.035, 0.0], atol=1e-12)
+    source = SimulatedBoardSource(TRUTH, board, 4, seed=4)
+    image = np.empty(0)
+    for capture, pose in zip(source, source.true_camera_from_board, strict=True):
+        image = capture.image
+        view = find_board(image, board)
+        assert isinstance(view, BoardView), view
+        assert len(view.px) == 96
+        error = np.linalg.norm(view.px - LENS.project(pose.apply(view.board_m)), axis=1)
+        # 0.04 px RMS measured; a corner of another tag or another turn would be tens of pixels off.
+        assert error.max() < 0.2
+    assert miss(255 - image, board) == "inverted"
+    assert miss(np.ascontiguousarray(image[:, ::-1]), board) == "mirrored"
+    assert miss(image, replace(board, columns=5)) == "board_larger_than_declared"
+    assert miss(image, replace(board, columns=7)) == "board_mismatch"
+    assert miss(np.full_like(image, 127), board) == "no_markers"
+    edge = int(view.px[:, 1].mean())
+    covered = image.copy()
+    covered[:edge] = 127
+    part = find_board(covered, board)
+    assert isinstance(part, BoardView)
+    assert 8 <= len(part.px) < 96
+    # A corner that the cover cuts into is off by a pixel or two; outliers are for the calibration to set aside.
+    whole = part.px[:, 1] > edge + 15
+    error = np.linalg.norm(part.px - LENS.project(pose.apply(part.board_m)), axis=1)
+    assert error[whole].max() < 0.2
+    assert error.max() < 5.0
+
+
+def test_a_tag_stands_as_its_authors_print_it():
+    """Against an independent reader: its first corner is the lower left one of an upright tag."""
+    apriltags = pytest.importorskip("pupil_apriltags")
+    board = Board("g", "aprilgrid", 3, 3, 0.045, 0.035)
+    texture, _, _ = board_texture(board, 120)
+    # The reader wants borders of one cell: cut the outer cell away from the first tag, at the lower left.
+    side = round(120 * 0.035 / 0.045)
+    cell = side / 10
+    height = texture.shape[0]
+    gap = round(120 * 0.010 / 0.045)
+    bottom, left = height - 120 - gap, 120 + gap
+    tag = texture[round(bottom - side + cell) : round(bottom - cell), round(left + cell) : round(left + side - cell)]
+    (found,) = apriltags.Detector(families="tag36h11").detect(
+        np.pad(np.ascontiguousarray(tag), 40, constant_values=255)
+    )
+    assert found.tag_id == 0
+    centre = found.corners.mean(axis=0)
+    assert found.corners[0][0] < centre[0]
+    assert found.corners[0][1] > centre[1]
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])

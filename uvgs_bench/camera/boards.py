@@ -29,8 +29,11 @@ BOARDS: dict[str, str] = {
     "charuco": "uvgs_bench.camera.board_charuco",
     "circles": "uvgs_bench.camera.board_circles",
     "asymmetric_circles": "uvgs_bench.camera.board_circles",
+    "aprilgrid": "uvgs_bench.camera.board_aprilgrid",
     "led_grid": "uvgs_bench.camera.board_led_grid",
 }
+WITH_MARKERS = ("charuco", "aprilgrid")
+"""Kinds with ``marker_m``."""
 WITH_DISCS = ("circles", "asymmetric_circles", "led_grid")
 """Kinds with ``diameter_m``."""
 # Fewer points than this cannot hold a pose and a doubt.
@@ -45,10 +48,10 @@ class Board:
     Args:
         name: For people.
         kind: Key of ``BOARDS``.
-        columns: Inner corners (chessboard), squares (ChArUco), circles or lights along x.
+        columns: Inner corners (chessboard), squares (ChArUco), tags, circles or lights along x.
         rows: The same along y.
         square_m: Side of a square, or pitch of the grid, m.
-        marker_m: Side of a marker, m; 0 where the kind has none.
+        marker_m: Side of a marker or tag, m; 0 where the kind has none.
         dictionary: Name of the marker dictionary; empty where the kind has none.
         legacy: Whether a ChArUco board has the pattern of OpenCV before 4.6.
         diameter_m: Diameter of a circle or light, m; 0 where the kind has none.
@@ -74,7 +77,7 @@ class Board:
             raise CalibrationError(f"a board needs at least 3 columns and 3 rows, got {self.columns}x{self.rows}")
         if not 0.0 < self.square_m < 10.0:
             raise CalibrationError(f"square side {self.square_m} m is not between 0 and 10 m")
-        if self.kind == "charuco" and not 0.0 < self.marker_m < self.square_m:
+        if self.kind in WITH_MARKERS and not 0.0 < self.marker_m < self.square_m:
             raise CalibrationError(
                 f"marker side {self.marker_m} m must be between 0 and the square side {self.square_m} m"
             )

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from uvgs_bench.camera.boards import BOARDS, Board, BoardMiss, BoardView, board_texture, find_board
+from uvgs_bench.camera.boards import BOARDS, WITH_MARKERS, Board, BoardMiss, BoardView, board_texture, find_board
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.store.boards import read_board
 
@@ -70,12 +70,15 @@ def test_colour_and_sixteen_bit_pictures_give_the_same_corners(board):
 
 @pytest.mark.parametrize("kind", list(BOARDS))
 def test_every_kind_has_points_on_its_plane_and_a_drawing(kind):
-    board = Board("b", kind, 5, 4, 0.02, 0.015 if kind == "charuco" else 0.0, "DICT_4X4_50", diameter_m=0.01)
+    marker_m = 0.015 if kind in WITH_MARKERS else 0.0
+    board = Board("b", kind, 5, 4, 0.02, marker_m, "DICT_4X4_50", diameter_m=0.01)
     assert board.points_m.shape[1] == 3
     assert (board.points_m[:, 2] == 0.0).all()
     along = board.points_m[board.points_m[:, 1] == board.points_m[-2, 1], 0]
     pitch = 0.04 if kind == "asymmetric_circles" else 0.02
-    np.testing.assert_allclose(np.diff(along), pitch, atol=1e-12)
+    # A grid of tags has two corners in each step.
+    stride = 2 if kind == "aprilgrid" else 1
+    np.testing.assert_allclose(along[stride:] - along[:-stride], pitch, atol=1e-12)
     texture, px_m, _ = board_texture(board, 32)
     assert px_m == pytest.approx(0.02 / 32)
     assert texture.dtype == np.uint8
@@ -157,7 +160,7 @@ def test_impossible_boards_are_refused():
 def test_example_boards_can_be_read(path):
     board = read_board(path)
     assert board.name == path.stem
-    assert len(board.points_m) in (36, 40, 44, 54)
+    assert len(board.points_m) in (36, 40, 44, 54, 144)
 
 
 @pytest.mark.parametrize(
