@@ -232,3 +232,13 @@ def test_pictures_choose_the_lens_when_asked(pictures, tmp_path, capsys):
     calibration = read_calibration(out)
     assert calibration.lens.model == summary["model"]
     assert calibration.notes["lens_choice"].count("unseen") == 5
+
+
+def test_what_the_calibration_does_to_a_beacon_is_said_by_range(pictures, tmp_path, capsys):
+    beacon = REPOSITORY / "calib" / "beacons" / "tetra_small.toml"
+    source = f"images:{pictures}"
+    assert run("calibrate", source, "--board", BOARD, "--out", tmp_path / "c.yaml", "--beacon", beacon) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "facing the camera, 1σ" in printed
+    assert "2 m calibration x" in printed
+    assert "LED noise 0.05 px x" in printed

@@ -13,8 +13,13 @@ from uvgs_bench.errors import ConfigError, ExitCode
 from uvgs_bench.units import deg_from_rad, mm_from_m, mrad_from_rad
 
 if TYPE_CHECKING:
-    from uvgs_bench.camera import CalibrationResult
+    from uvgs_bench.beacon.geometry import Beacon
+    from uvgs_bench.camera import Calibration, CalibrationResult
     from uvgs_bench.camera.calibration import Verdict
+
+_RANGES_M = (0.5, 1.0, 2.0, 4.0)
+# Of a bright LED's centre in one coordinate of one picture.
+_LED_NOISE_PX = 0.05
 
 
 def calibrate(
@@ -33,6 +38,9 @@ def calibrate(
         bool, typer.Option("--board-shape", help="Also estimate the bow and the stretch of the printed board.")
     ] = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many captures.")] = None,
+    beacon: Annotated[
+        Path | None, typer.Option("--beacon", help="Beacon file: also say what the calibration does to its pose.")
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace the camera file, and write one that is not usable, saying so.")
     ] = False,
@@ -48,6 +56,7 @@ def calibrate(
     from uvgs_bench.cli.console import console, emit_json, print_path, progress_sink
     from uvgs_bench.devices.cameras.registry import open_camera
     from uvgs_bench.sessions.calibrate import AUTO_LENS, calibrate_from_source
+    from uvgs_bench.store.beacons import read_beacon
     from uvgs_bench.store.boards import read_board
     from uvgs_bench.store.calibrations import write_calibration
     from uvgs_bench.store.documents import check_writable
@@ -58,6 +67,7 @@ def calibrate(
     if glob:
         source += ("&" if "?" in source else "?") + f"glob={glob}"
     declared = read_board(board)
+    carried = None if beacon is None else read_beacon(beacon)
     with open_camera(source) as camera, progress_sink(quiet=quiet) as sink:
         result = calibrate_from_source(
             camera,
@@ -75,6 +85,8 @@ def calibrate(
         # Before writing, so that a full disk takes the file but not the numbers.
         _show(result)
         _show_verdict(verdict)
+        if carried is not None:
+            _show_pose_doubt(result.calibration, carried)
     is_written = verdict.is_usable or force
     if is_written:
         write_calibration(out, result.calibration, force=force)
@@ -220,3 +232,34 @@ def _show_verdict(verdict: Verdict) -> None:
         out.print(f"  because {reason}", markup=False)
     for wish in verdict.next_pictures:
         out.print(f"  next: {wish}", markup=False)
+
+
+def _show_pose_doubt(calibration: Calibration, beacon: Beacon) -> None:
+    """Print what the calibration does to the pose of a beacon that faces the camera on its axis."""
+    import numpy as np
+
+    from uvgs_bench.camera.pose_doubt import pose_doubt
+    from uvgs_bench.cli.console import out
+    from uvgs_bench.errors import CalibrationError
+    from uvgs_bench.geometry import Pose
+
+    out.print(f"pose of {beacon.name} facing the camera, 1σ (calibration: the same in every picture)", markup=False)
+    points_m = np.array([led.position_m for led in beacon.leds])
+    for range_m in _RANGES_M:
+        pose = Pose(np.eye(3), np.array([0.0, 0.0, range_m]), "camera", "beacon")
+        if not calibration.lens.contains(calibration.lens.project(pose.apply(points_m))).all():
+            out.print(f"  {range_m:g} m  not whole in the picture")
+            continue
+        try:
+            doubt = pose_doubt(calibration, points_m, pose, _LED_NOISE_PX)
+        except CalibrationError as error:
+            out.print(f"  {range_m:g} m  {error}", markup=False)
+            continue
+        parts = []
+        for name, sigmas in (
+            ("calibration", doubt.calibration_sigmas),
+            (f"LED noise {_LED_NOISE_PX} px", doubt.noise_sigmas),
+        ):
+            x, y, z = mm_from_m(sigmas[3:])
+            parts.append(f"{name} x {x:.2f} y {y:.2f} z {z:.2f} mm, {mrad_from_rad(sigmas[:3]).max():.2f} mrad")
+        out.print(f"  {range_m:g} m  {'; '.join(parts)}")
