@@ -29,6 +29,11 @@ def run(*arguments: object) -> int:
     return int(left.value.code or 0)
 
 
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
 @pytest.fixture
 def navcam(tmp_path) -> Path:
     path = tmp_path / "navcam.yaml"
@@ -171,6 +176,8 @@ def test_check_says_what_changed_by_its_exit_code(photographs, tmp_path, capsys,
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"].upper() == word
     focal = next(figure for figure in found["figures"] if figure["name"] == "focal length")
+    # The second time nothing is searched; the answers above are the same from what was kept.
+    assert len(list((tmp_path / "cache" / "uvgs_bench" / "boards").glob("*.json"))) == 12
     # 2 % planted; 0.1 % is five times what twelve views tell.
     assert focal["value"] == pytest.approx(100.0 * (factor - 1.0), abs=0.1)
 

@@ -1,4 +1,4 @@
-"""Leading the search for a board in every capture of a source, on all cores."""
+"""Leading the search for a board in every capture of a source, on all cores, each picture once."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from uvgs_bench.devices.cameras.source import CameraSource
 from uvgs_bench.errors import CaptureError, ConfigError
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
+from uvgs_bench.store.detections import detection_key, read_detection, write_detection
 
 _STAGE = "find board"
 
@@ -77,7 +78,7 @@ def find_boards(
         waiting: deque[Future[BoardView | BoardMiss]] = deque()
         for capture in islice(source, limit):
             digest.update(capture.image.tobytes())
-            waiting.append(pool.submit(find_board, capture.image, board, _name(capture)))
+            waiting.append(pool.submit(_find, capture, board))
             if len(waiting) >= 2 * workers:
                 collect(waiting.popleft())
         while waiting:
@@ -86,6 +87,17 @@ def find_boards(
         raise CaptureError("gives no pictures", source.spec)
     sink(StageFinished(_STAGE, f"{len(views)} of {len(views) + len(misses)} pictures usable"))
     return FoundBoards(tuple(views), tuple(misses), digest.hexdigest())
+
+
+def _find(capture: Capture, board: Board) -> BoardView | BoardMiss:
+    """The answer of an earlier search of the same pixels, or a new one."""
+    key = detection_key(capture.image, board)
+    known = read_detection(key, _name(capture))
+    if known is not None:
+        return known
+    found = find_board(capture.image, board, _name(capture))
+    write_detection(key, found)
+    return found
 
 
 def _name(capture: Capture) -> str:
