@@ -10,7 +10,6 @@ import typer
 
 from uvgs_bench.cli.options import Json, Quiet
 from uvgs_bench.errors import ConfigError, ExitCode
-from uvgs_bench.units import deg_from_rad, mm_from_m, mrad_from_rad
 
 if TYPE_CHECKING:
     from uvgs_bench.beacon.geometry import Beacon
@@ -101,6 +100,8 @@ def calibrate(
 
 
 def _summary(result: CalibrationResult, out: Path | None) -> dict[str, object]:
+    from uvgs_bench.units import deg_from_rad, mrad_from_rad
+
     fitted, everything = result.calibration, result.all_corners
     halves, verdict, held_out = result.split_half, fitted.verdict, fitted.held_out_rms_px
     assert verdict is not None
@@ -159,6 +160,7 @@ def _show(result: CalibrationResult) -> None:
     from rich.table import Table
 
     from uvgs_bench.cli.console import out
+    from uvgs_bench.units import deg_from_rad, mm_from_m, mrad_from_rad
 
     fitted, everything = result.calibration, result.all_corners
     assert fitted.sigmas is not None
@@ -242,6 +244,7 @@ def _show_pose_doubt(calibration: Calibration, beacon: Beacon) -> None:
     from uvgs_bench.cli.console import out
     from uvgs_bench.errors import CalibrationError
     from uvgs_bench.geometry import Pose
+    from uvgs_bench.units import mm_from_m, mrad_from_rad
 
     out.print(f"pose of {beacon.name} facing the camera, 1σ (calibration: the same in every picture)", markup=False)
     points_m = np.array([led.position_m for led in beacon.leds])
