@@ -32,9 +32,7 @@ def beacon(covariance_m2: np.ndarray | None = None) -> Beacon:
     positions = np.array(
         [[-0.062, 0.035, 0.005], [0.071, 0.022, -0.008], [-0.012, -0.058, 0.012], [0.018, 0.004, -0.07]]
     )
-    leds = tuple(
-        Led(f"led{i}", p, np.array([0.0, 0.0, -1.0]), np.radians(70.0)) for i, p in enumerate(positions)
-    )
+    leds = tuple(Led(f"led{i}", p, np.array([0.0, 0.0, -1.0]), np.radians(70.0)) for i, p in enumerate(positions))
     return Beacon("test", leds, covariance_m2=covariance_m2)
 
 

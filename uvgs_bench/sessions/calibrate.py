@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import Counter, deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from itertools import islice
 
 from uvgs_bench import __version__
-from uvgs_bench.camera import Board, BoardView, CalibrationResult, calibrate, find_board
+from uvgs_bench.camera import Board, BoardView, CalibrationResult, calibrate
+from uvgs_bench.camera.board_circles import corrected_view
 from uvgs_bench.camera.boards import BoardMiss
-from uvgs_bench.camera.fitting import MIN_VIEWS
+from uvgs_bench.camera.fitting import MIN_VIEWS, fit
 from uvgs_bench.camera.lens_choice import choose_lens
 from uvgs_bench.devices.cameras.source import CameraSource
-from uvgs_bench.errors import CaptureError, ConfigError, TooFewViews
-from uvgs_bench.sensor.capture import Capture
-from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
+from uvgs_bench.errors import TooFewViews
+from uvgs_bench.geometry import Pose
+from uvgs_bench.sessions.events import EventSink, Remark, StageFinished, StageStarted, ignore_events
+from uvgs_bench.sessions.find_boards import find_boards
 from uvgs_bench.units import mm_from_m
-
-# OpenCV works outside the interpreter lock; more pictures in flight only cost memory.
-_WORKERS = 2
-_IN_FLIGHT = 4
 
 AUTO_LENS = "auto"
 """In place of a lens: the pictures choose it."""
@@ -61,24 +57,22 @@ def calibrate_from_source(
         TooFewViews: The board was found in fewer than three pictures; the message says why.
         CalibrationError: The pictures differ in size, or no lens of the model fits.
     """
-    if source.is_live and limit is None:
-        raise ConfigError("a live camera needs a number of captures to take", source.spec)
-    views, misses, digest = _find_boards(source, board, sink, limit)
+    found = find_boards(source, board, sink=sink, limit=limit)
+    views, misses = found.views, found.misses
     if len(views) < MIN_VIEWS:
-        if not views and not misses:
-            raise CaptureError("gives no pictures", source.spec)
         raise TooFewViews(_too_few(views, misses, board))
     sink(StageStarted("calibrate"))
     notes = {
         "board": f"{board.name} ({board.kind} {board.columns}x{board.rows}, {mm_from_m(board.square_m):g} mm squares)",
         "source": source.spec,
-        "pictures_sha256": digest,
+        "pictures_sha256": found.pictures_sha256,
         "created_utc": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "uvgs_bench": __version__,
         "numpy": version("numpy"),
         "opencv": _opencv_version(),
     }
     if model == AUTO_LENS:
+        views = _without_disc_bias(views, board, "plumb_bob", reject_outliers)
         choice = choose_lens(views)
         for trial in choice.trials:
             if trial.remark:
@@ -88,7 +82,7 @@ def calibrate_from_source(
             f"{trial.model} {trial.rms_px:.4f} px, unseen {trial.held_out_rms_px:.4f} px" for trial in choice.trials
         )
     result = calibrate(
-        views,
+        _without_disc_bias(found.views, board, model, reject_outliers),
         model,
         camera_name=camera_name,
         reject_outliers=reject_outliers,
@@ -99,47 +93,26 @@ def calibrate_from_source(
         sink(Remark("warning", text))
     fitted = result.calibration
     sink(StageFinished("calibrate", f"{model}, RMS {fitted.rms_px:.3f} px over {fitted.view_count} views"))
-    return replace(result, misses=tuple(misses))
+    return replace(result, misses=misses)
 
 
-def _find_boards(
-    source: CameraSource, board: Board, sink: EventSink, limit: int | None
-) -> tuple[list[BoardView], list[BoardMiss], str]:
-    total = source.length if limit is None else min(limit, source.length or limit)
-    sink(StageStarted("find board", total))
-    views: list[BoardView] = []
-    misses: list[BoardMiss] = []
-    digest = hashlib.sha256()
+def _without_disc_bias(
+    views: Sequence[BoardView], board: Board, model: str, reject_outliers: bool
+) -> tuple[BoardView, ...]:
+    """Views of printed circles as if their centres themselves had been seen; other boards as they are.
 
-    def collect(answer: Future[BoardView | BoardMiss]) -> None:
-        found = answer.result()
-        if isinstance(found, BoardView):
-            views.append(found)
-            detail = f"{found.name}: {len(found.px)} corners"
-        else:
-            misses.append(found)
-            detail = f"{found.name}: {found.reason}"
-            sink(Remark("warning", f"{found.name}: {found.reason}: {found.detail}"))
-        sink(StageAdvanced("find board", len(views) + len(misses), detail))
-
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        waiting: deque[Future[BoardView | BoardMiss]] = deque()
-        for capture in islice(source, limit):
-            digest.update(capture.image.tobytes())
-            waiting.append(pool.submit(find_board, capture.image, board, _name(capture)))
-            if len(waiting) >= _IN_FLIGHT:
-                collect(waiting.popleft())
-        while waiting:
-            collect(waiting.popleft())
-    sink(StageFinished("find board", f"{len(views)} of {len(views) + len(misses)} pictures usable"))
-    return views, misses, digest.hexdigest()
+    The centre of a circle's picture is not the picture of its centre; lens and poses of a first fit tell by how much.
+    """
+    if board.kind not in ("circles", "asymmetric_circles"):
+        return tuple(views)
+    first = fit(views, model, reject_outliers=reject_outliers).bundle
+    return tuple(
+        corrected_view(view, first.lens, Pose(R, t, "camera", "board"), board.diameter_m)
+        for view, R, t in zip(views, first.R_cb, first.t_cb, strict=True)
+    )
 
 
-def _name(capture: Capture) -> str:
-    return capture.source or f"capture {capture.index}"
-
-
-def _too_few(views: list[BoardView], misses: list[BoardMiss], board: Board) -> str:
+def _too_few(views: Sequence[BoardView], misses: Sequence[BoardMiss], board: Board) -> str:
     """The one line that says what to change."""
     counted = Counter(miss.reason for miss in misses)
     reasons = ", ".join(f"{count}x {reason}" for reason, count in counted.most_common())

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,17 @@ from uvgs_bench.camera.boards import Board, BoardMiss, BoardView
 from uvgs_bench.errors import UvgsError
 from uvgs_bench.store.documents import write_atomically
 
-# Counted up whenever a detector may find other points in the same picture.
-_DETECTORS = 1
+
+@cache
+def _detectors() -> str:
+    """Hash of the code that looks for boards: another version of it may find other points in the same picture."""
+    import uvgs_bench.camera.boards as boards
+
+    folder = Path(boards.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("board*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def cache_folder() -> Path:
@@ -49,7 +59,7 @@ def detection_key(image: NDArray[np.generic], board: Board) -> str:
         "board": {**asdict(board), "name": ""},
         "shape": list(image.shape),
         "type": str(image.dtype),
-        "detectors": _DETECTORS,
+        "detectors": _detectors(),
         "versions": [__version__, cv2.__version__],
     }
     digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
