@@ -76,7 +76,9 @@ def test_every_miss_can_be_drawn(image):
     outcome = uvgs.solve(capture)
     assert not isinstance(outcome, PoseEstimate)
     picture = di.draw_debug_image(capture, outcome, uvgs)
-    assert count(picture[:84], di.ORANGE) > 50
+    # Thin smoothed strokes are mostly blends of orange and ground, so it is the tint that counts.
+    header = picture[:84].astype(int)
+    assert ((header[:, :, 2] - header[:, :, 0]) > 60).sum() > 50
 
 
 def test_arrows_are_as_long_as_can_be_seen_and_no_longer():
