@@ -31,7 +31,7 @@ DEFINITIONS = (
     "time: processor time of one call per pose, public door; the refining solvers start from the best P3P root",
 )
 # What answers the least squares question; these are refined from a P3P start.
-_FROM_START = ("svgs_numeric", "opencv_iterative")
+_FROM_START = ("uvgs_dogleg", "svgs_numeric", "opencv_iterative")
 _MOST_ITERATIONS = 200
 # Two fits nearer than this are one minimum.
 _SAME_CHI2 = 1e-6

@@ -120,7 +120,9 @@ def refine_pose_dogleg(
         turn_and_shift(R, t, step, R_new, t_new)
         new_cost = normal_equations(model_id, lens, points, px, sigma, R_new, t_new, t_new, H_new, g_new, residual)
         if new_cost <= cost + _ROUNDING * cost + _ROUNDING_CHI2:
-            kept = (cost - new_cost) / promised if promised > 0.0 else 1.0
+            # A gain that rounding can hide says nothing about the model, so the radius is left alone.
+            is_telling = promised > 1e-9 * cost + _ROUNDING_CHI2
+            kept = (cost - new_cost) / promised if is_telling else 1.0
             for i in range(3):
                 t[i] = t_new[i]
                 for j in range(3):
