@@ -64,11 +64,6 @@ def mps_from_mm_min(value_mm_min: Number) -> Number:
     return value_mm_min / (MM_PER_M * S_PER_MIN)
 
 
-def mm_min_from_mps(value_mps: Number) -> Number:
-    """Millimetres per minute (G-code feed) from metres per second."""
-    return value_mps * (MM_PER_M * S_PER_MIN)
-
-
 def s_from_ns(value_ns: int) -> float:
     """Seconds from nanoseconds."""
     return value_ns / NS_PER_S

@@ -8,7 +8,7 @@ import os
 import re
 import tempfile
 import tomllib
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -194,13 +194,6 @@ def _unknown_key_message(key: str, known: list[str]) -> str:
         near = [name for name in known if name.rsplit("_", 1)[0] == stem][:1]
     hint = f", did you mean '{near[0]}'?" if near else f", expected one of: {', '.join(known)}"
     return f"unknown key{hint}"
-
-
-def required_keys(kind: type) -> list[str]:
-    """Names of the fields of a dataclass that have no default."""
-    if not is_dataclass(kind):
-        raise TypeError(f"{kind} is no dataclass")
-    return [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
 
 
 def check_writable(path: Path, *, force: bool) -> None:
