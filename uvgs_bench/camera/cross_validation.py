@@ -48,12 +48,18 @@ class SplitHalf:
         predicted_px: The same as the halves' own covariances predict it, px.
         ratio: How many times larger the difference is than predicted; 1 when the covariances are honest.
         ratios: The ratio of each split, shape (S,).
+        grid_px: Where the projections were compared, shape (G, 2), px.
+        grid_difference_px: RMS difference of all splits at each of these pixels, shape (G,), px; NaN without a ray.
+        grid_predicted_px: The same as predicted, shape (G,), px.
     """
 
     difference_px: float
     predicted_px: float
     ratio: float
     ratios: FloatArray
+    grid_px: FloatArray
+    grid_difference_px: FloatArray
+    grid_predicted_px: FloatArray
 
 
 def held_out(bundle: Bundle, corners: Corners, prior: FloatArray | None) -> HeldOut | None:
@@ -142,12 +148,16 @@ def split_half(bundle: Bundle, corners: Corners, prior: FloatArray | None, radiu
         expected.append(predicted)
     if not seen:
         return None
-    squares, wanted = np.square(seen), np.square(expected)
+    by_place, wanted_by_place = np.stack(seen), np.stack(expected)
+    squares, wanted = np.nanmean(by_place, axis=1), np.nanmean(wanted_by_place, axis=1)
     return SplitHalf(
         float(np.sqrt(squares.mean())),
         float(np.sqrt(wanted.mean())),
         float(np.sqrt((squares / np.maximum(wanted, 1e-300)).mean())),
         read_only(np.sqrt(squares / np.maximum(wanted, 1e-300))),
+        read_only(grid),
+        read_only(np.sqrt(by_place.mean(axis=0))),
+        read_only(np.sqrt(wanted_by_place.mean(axis=0))),
     )
 
 
@@ -161,8 +171,11 @@ def _half(
     return fitted.lens, doubt.covariance
 
 
-def _compare(a: tuple[Lens, FloatArray], b: tuple[Lens, FloatArray], grid: FloatArray) -> tuple[float, float]:
-    """RMS difference of two lenses after the rotation that fits them best, and its expectation."""
+def _compare(
+    a: tuple[Lens, FloatArray], b: tuple[Lens, FloatArray], grid: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Squared difference of two lenses at each pixel after the rotation that fits them best, and its expectation."""
+    at_grid = (np.full(len(grid), np.nan), np.full(len(grid), np.nan))
     rays = a[0].unproject(grid)
     good = np.isfinite(rays).all(axis=1)
     if int(good.sum()) < 4:
@@ -182,9 +195,11 @@ def _compare(a: tuple[Lens, FloatArray], b: tuple[Lens, FloatArray], grid: Float
     _, _, by_lens_a = a[0].project_with_jacobians(rays)
     # What the rotation can follow is no difference: project it out of both predictions.
     basis = np.linalg.qr(by_turn)[0]
-    variance = 0.0
+    variance = np.zeros(len(difference))
     for jacobian, covariance in ((by_lens_a, a[1]), (by_lens, b[1])):
         flat = jacobian.reshape(len(difference), -1)
         free = flat - basis @ (basis.T @ flat)
-        variance += float(np.einsum("ij,jk,ik->", free, covariance, free))
-    return float(np.sqrt(difference @ difference / len(grid))), float(np.sqrt(variance / len(grid)))
+        variance += np.einsum("ij,jk,ik->i", free, covariance, free)
+    for values, of_component in zip(at_grid, (difference**2, variance), strict=True):
+        values[good] = of_component.reshape(-1, 2).sum(axis=1)
+    return at_grid

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from uvgs_bench.camera.residual_structure import Coverage, ResidualStructure, co
 from uvgs_bench.errors import CalibrationError, TooFewViews
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import deg_from_rad
+
+if TYPE_CHECKING:
+    from uvgs_bench.camera.lens_choice import LensTrial
 
 __all__ = ["MIN_VIEWS", "CalibrationResult", "Fit", "RejectedCorner", "calibrate", "fit"]
 
@@ -105,6 +109,8 @@ class CalibrationResult:
         structure: Shape of the residuals.
         coverage: Where the boards were.
         board_shape: Shape of the printed board by ``SHAPE_NAMES`` with deviations, shape (2, 3), when it was free.
+        views: The views themselves, in the order of ``view_names``.
+        lens_trials: The lenses that were compared before this one was chosen, added by whoever compared them.
     """
 
     calibration: Calibration
@@ -126,6 +132,8 @@ class CalibrationResult:
     structure: ResidualStructure
     coverage: Coverage
     board_shape: FloatArray | None
+    views: tuple[BoardView, ...]
+    lens_trials: tuple[LensTrial, ...] = ()
 
 
 def fit(views: Sequence[BoardView], model: str, *, reject_outliers: bool = True, is_board_free: bool = False) -> Fit:
@@ -241,6 +249,7 @@ def calibrate(
         residual_structure(bundle, kept),
         covered,
         shape,
+        tuple(views),
     )
     result = replace(result, warnings=_warnings(result))
     return replace(result, calibration=replace(calibration, verdict=judge_calibration(result)))

@@ -13,7 +13,7 @@ from uvgs_bench.camera import Board, BoardView, CalibrationResult, calibrate
 from uvgs_bench.camera.board_circles import corrected_view
 from uvgs_bench.camera.boards import BoardMiss
 from uvgs_bench.camera.fitting import MIN_VIEWS, fit
-from uvgs_bench.camera.lens_choice import choose_lens
+from uvgs_bench.camera.lens_choice import LensTrial, choose_lens
 from uvgs_bench.devices.cameras.source import CameraSource
 from uvgs_bench.errors import TooFewViews
 from uvgs_bench.geometry import Pose
@@ -71,13 +71,14 @@ def calibrate_from_source(
         "numpy": version("numpy"),
         "opencv": _opencv_version(),
     }
+    trials: tuple[LensTrial, ...] = ()
     if model == AUTO_LENS:
         views = _without_disc_bias(views, board, "plumb_bob", reject_outliers)
         choice = choose_lens(views)
         for trial in choice.trials:
             if trial.remark:
                 sink(Remark("info", trial.remark))
-        model = choice.model
+        model, trials = choice.model, choice.trials
         notes["lens_choice"] = "; ".join(
             f"{trial.model} {trial.rms_px:.4f} px, unseen {trial.held_out_rms_px:.4f} px" for trial in choice.trials
         )
@@ -93,7 +94,7 @@ def calibrate_from_source(
         sink(Remark("warning", text))
     fitted = result.calibration
     sink(StageFinished("calibrate", f"{model}, RMS {fitted.rms_px:.3f} px over {fitted.view_count} views"))
-    return replace(result, misses=misses)
+    return replace(result, misses=misses, lens_trials=trials)
 
 
 def _without_disc_bias(
