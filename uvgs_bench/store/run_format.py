@@ -1,4 +1,8 @@
-"""How a run is written down: one JSON object per sample, one TOML file for the rest; every float exact."""
+"""How a run is written down: one JSON object per sample, one TOML file for the rest; every float exact.
+
+Keys may be added: a reader takes what an older program did not write as unknown, and passes over what it does not know.
+``SCHEMA`` changes when an older program would misread a run.
+"""
 
 from __future__ import annotations
 
@@ -102,6 +106,8 @@ def _record_from_outcome(outcome: Outcome) -> dict[str, object]:
         "status": "ok",
         "camera_from_beacon": _record_from_pose(outcome.camera_from_beacon),
         "covariance": _numbers(outcome.covariance),
+        "beacon_covariance": _numbers_or_none(outcome.beacon_covariance),
+        "calibration_covariance": _numbers_or_none(outcome.calibration_covariance),
         "exposed_t_ns": outcome.t_ns,
         "beacon": outcome.beacon,
         "led_px": [_numbers(row) for row in outcome.led_px],
@@ -110,6 +116,8 @@ def _record_from_outcome(outcome: Outcome) -> dict[str, object]:
         "margin": _number(outcome.margin),
         "blob_count": outcome.blob_count,
         "runner_up": None if outcome.runner_up is None else _record_from_pose(outcome.runner_up),
+        "flags": list(outcome.flags),
+        "tracked_count": outcome.tracked_count,
         "stage_s": {name: float(value) for name, value in outcome.stage_s.items()},
     }
 
@@ -140,6 +148,10 @@ def _outcome_from_record(record: Mapping[str, Any]) -> Outcome:
         blob_count=int(record["blob_count"]),
         runner_up=None if runner_up is None else _pose_from_record(runner_up),
         stage_s=dict(record["stage_s"]),
+        flags=tuple(str(flag) for flag in record.get("flags", ())),
+        beacon_covariance=_covariance_or_none(record.get("beacon_covariance")),
+        calibration_covariance=_covariance_or_none(record.get("calibration_covariance")),
+        tracked_count=int(record.get("tracked_count", 0)),
     )
 
 
@@ -150,6 +162,14 @@ def _number(value: float) -> float | None:
 
 def _numbers(values: FloatArray) -> list[float | None]:
     return [_number(value) for value in np.asarray(values, dtype=np.float64).ravel().tolist()]
+
+
+def _numbers_or_none(values: FloatArray | None) -> list[float | None] | None:
+    return None if values is None else _numbers(values)
+
+
+def _covariance_or_none(values: Sequence[object] | None) -> FloatArray | None:
+    return None if values is None else read_only(_array(values).reshape(6, 6))
 
 
 def _array(values: Sequence[object]) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import math
 import tomllib
 from collections.abc import Iterator
@@ -62,6 +63,10 @@ def pose_estimate(rng: np.random.Generator, rms_px: float = 0.1, margin: float =
         blob_count=4,
         runner_up=Pose.exp(rng.normal(size=6), "camera", "beacon"),
         stage_s={"solve": 1e-5 / 3.0},
+        flags=("weak_evidence",),
+        beacon_covariance=rng.normal(size=(6, 6)),
+        calibration_covariance=rng.normal(size=(6, 6)),
+        tracked_count=3,
     )
 
 
@@ -115,6 +120,20 @@ def test_a_sample_survives_its_line_bit_by_bit() -> None:
         assert same(written, sample_from_line(line_from_sample(written)))
     written = sample(1, miss(), capture_file="captures/000001.png", attempt=2)
     assert same(written, sample_from_line(line_from_sample(written)))
+
+
+def test_the_parts_of_the_doubt_are_kept_apart_and_older_lines_stay_readable() -> None:
+    line = json.loads(line_from_sample(sample(3)))
+    read = sample_from_line(json.dumps(line)).outcome
+    assert isinstance(read, PoseEstimate)
+    assert np.array_equal(read.noise_covariance, read.covariance - read.beacon_covariance)  # type: ignore[operator]
+    assert np.array_equal(read.total_covariance, read.covariance + read.calibration_covariance)  # type: ignore[operator]
+    for key in ("beacon_covariance", "calibration_covariance", "flags", "tracked_count"):
+        del line[key]
+    old = sample_from_line(json.dumps(line)).outcome
+    assert isinstance(old, PoseEstimate)
+    assert np.array_equal(old.covariance, read.covariance)
+    assert (old.beacon_covariance, old.calibration_covariance, old.flags, old.tracked_count) == (None, None, (), 0)
 
 
 def test_a_manifest_survives_its_tables_bit_by_bit() -> None:
