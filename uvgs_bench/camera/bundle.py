@@ -11,18 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.camera.boards import BoardView
+from uvgs_bench.camera.bundle_kernels import gram_of_views, moved_poses
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.geometry.se3 import se3_exp
 
 _MAX_ITERATIONS = 200
+# Relative gain and damping at which a minimum is reached.
+_DONE, _UNDAMPED = 1e-12, 1e-5
 
 SHAPE_NAMES = ("bow_x_m", "bow_y_m", "stretch_y")
 """The shape of a printed board: height of its middle over its edges by a parabola along x and along y (m), and how much
@@ -129,10 +130,7 @@ class Bundle:
 
     def moved(self, twists: FloatArray, common: FloatArray | None = None) -> Bundle:
         """Left update of every pose by its twist (V, 6), and new common parameters. Raises CalibrationError."""
-        R, t = np.empty_like(self.R_cb), np.empty_like(self.t_cb)
-        for i, twist in enumerate(np.ascontiguousarray(twists)):
-            dR, dt = se3_exp(twist)
-            R[i], t[i] = dR @ self.R_cb[i], dR @ self.t_cb[i] + dt
+        R, t = moved_poses(_same_kind(self.R_cb), _same_kind(self.t_cb), _same_kind(twists))
         if common is None:
             return Bundle(self.lens, R, t, self.shape)
         size = self.lens.parameters.size
@@ -152,27 +150,28 @@ class _Normal:
 
 
 def _normal(bundle: Bundle, corners: Corners, *, with_common: bool = True) -> _Normal:
-    p = bundle.points_in_camera(corners)
-    px, by_point, by_lens = bundle.lens.project_with_jacobians(p)
-    count = len(p)
-    is_shaped = with_common and bundle.shape is not None
-    size = (by_lens.shape[2] if with_common else 0) + (len(SHAPE_NAMES) if is_shaped else 0)
-    J = np.empty((count, 2, 7 + size))
-    # d p' / d xi = [-[p']^ | I] for the left update; a row a of d px / d p' times -[p']^ is p' x a.
-    x, y, z = p[:, 0, None], p[:, 1, None], p[:, 2, None]
-    ax, ay, az = by_point[:, :, 0], by_point[:, :, 1], by_point[:, :, 2]
-    J[:, :, 0], J[:, :, 1], J[:, :, 2] = y * az - z * ay, z * ax - x * az, x * ay - y * ax
-    J[:, :, 3:6] = by_point
-    if with_common:
-        J[:, :, 6 : 6 + by_lens.shape[2]] = by_lens
-    if is_shaped:
-        J[:, :, 6 + by_lens.shape[2] : -1] = by_point @ (bundle.R_cb[corners.view] @ corners.by_shape)
-    J[:, :, -1] = corners.px - px
-    rows, bounds = J.reshape(2 * count, -1), 2 * corners.bounds()
-    gram = np.stack([rows[a:b].T @ rows[a:b] for a, b in pairwise(bounds)])
+    points_m = corners.points_m if bundle.shape is None else corners.points_m + corners.by_shape @ bundle.shape
+    gram = gram_of_views(
+        bundle.lens.model_id,
+        bundle.lens.kernel_parameters,
+        _same_kind(bundle.R_cb),
+        _same_kind(bundle.t_cb),
+        _same_kind(points_m),
+        _same_kind(corners.px),
+        corners.bounds(),
+        _same_kind(corners.by_shape),
+        bundle.lens.parameters.size if with_common else 0,
+        len(SHAPE_NAMES) if with_common and bundle.shape is not None else 0,
+    )
     return _Normal(
         gram[:, :6, :6], gram[:, :6, 6:-1], gram[:, 6:-1, 6:-1], gram[:, :6, -1], gram[:, 6:-1, -1], gram[:, -1, -1]
     )
+
+
+def _same_kind(array: FloatArray) -> FloatArray:
+    """Contiguous and writable: each other kind of array would be compiled anew."""
+    array = np.ascontiguousarray(array, dtype=np.float64)
+    return array if array.flags.writeable else array.copy()
 
 
 def _damped(blocks: FloatArray, damping: FloatArray | float) -> FloatArray:
@@ -225,10 +224,13 @@ def adjust(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) ->
             gain = (cost - new_cost) / max(cost, 1e-300)
             bundle, cost, normal = candidate, new_cost, new
             damping, growth = max(damping / 10.0, 1e-12), 2.0
-            # Two steps in a row without gain: the digits are used up.
+            # A nearly undamped step squares the distance to the minimum: this gain is about a hundred thousandth of a
+            # deviation, the next step would be lost in rounding.
             quiet = quiet + 1 if gain < 1e-14 else 0
-            if quiet >= 2 or cost < 1e-18 * len(corners.px):
+            if (gain < _DONE and damping < _UNDAMPED) or quiet >= 2 or cost < 1e-18 * len(corners.px):
                 return bundle
+        elif new_cost <= cost * (1.0 + _DONE) and damping < _UNDAMPED:
+            return bundle
         else:
             damping, growth = damping * growth, growth * 2.0
             if damping > 1e10:

@@ -199,6 +199,11 @@ class Lens:
         return inside
 
 
+# Where the valid field is looked for the end of, by the square of the angle (rad^2) or of its tangent.
+_SQUARED_ANGLES = read_only(np.linspace(0.0, pi, 1001) ** 2)
+_SQUARED_SLOPES = read_only(np.tan(np.linspace(0.0, 0.5 * pi - 1e-3, 1001)) ** 2)
+
+
 def _rows(values: ArrayLike, width: int) -> FloatArray:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim == 1:
@@ -215,7 +220,7 @@ def _limit(model_id: int, k: FloatArray) -> float:
         return inf
     if model_id == kernels.EQUIDISTANT:
         slope = np.array([1.0, 3.0 * k[4], 5.0 * k[5], 7.0 * k[6], 9.0 * k[7]])
-        return min(pi, sqrt(_first_root(slope, np.linspace(0.0, pi, 1001) ** 2)))
+        return min(pi, sqrt(_first_root(slope, _SQUARED_ANGLES)))
     numerator = np.array([1.0, k[4], k[5], k[8]])
     denominator = np.array([1.0, k[9], k[10], k[11]])
     order = np.arange(4.0)
@@ -223,8 +228,8 @@ def _limit(model_id: int, k: FloatArray) -> float:
     slope = np.convolve((1.0 + 2.0 * order) * numerator, denominator) - np.convolve(
         numerator, 2.0 * order * denominator
     )
-    grid = np.tan(np.linspace(0.0, 0.5 * pi - 1e-3, 1001)) ** 2
-    return sqrt(min(_first_root(slope, grid), _first_root(denominator, grid)))
+    first = _first_root(slope, _SQUARED_SLOPES)
+    return sqrt(min(first, _first_root(denominator, _SQUARED_SLOPES)) if denominator.any(where=order > 0) else first)
 
 
 def _first_root(ascending: FloatArray, grid: FloatArray) -> float:
@@ -232,7 +237,11 @@ def _first_root(ascending: FloatArray, grid: FloatArray) -> float:
 
     A scan and a bisection, because an eigenvalue root finder loses all digits to a tiny leading coefficient.
     """
-    bad = np.flatnonzero(np.polynomial.polynomial.polyval(grid, ascending) <= 0.0)
+    value = np.full_like(grid, ascending[-1])
+    for coefficient in ascending[-2::-1]:
+        value *= grid
+        value += coefficient
+    bad = np.flatnonzero(value <= 0.0)
     if bad.size == 0:
         return inf
     low, high = float(grid[bad[0] - 1]), float(grid[bad[0]])

@@ -5,7 +5,7 @@ Every lens uses one parameter layout (``Lens.kernel_parameters``, shape (17,)): 
 theta (rad) for ``equidistant``, unused for ``fov``. So ``plumb_bob`` and ``rational_polynomial`` are ``thin_prism``
 with zeros.
 
-To add a lens: give it the next number, a branch in ``project_point_with_jacobian``, ``_coefficient_columns`` and
+To add a lens: give it the next number, a branch in ``project_point_with_jacobian``, ``coefficient_columns`` and
 ``unproject_point``, and a line in ``LENSES``.
 
 Source: OpenCV documentation (calib3d, fisheye): rational, thin prism, and Kannala-Brandt as ``fisheye``; F. Devernay
@@ -190,8 +190,17 @@ def project_point(model_id: int, parameters: FloatArray, x: float, y: float, z: 
 
 
 @compiled
-def _coefficient_columns(model_id: int, k: FloatArray, x: float, y: float, z: float, out: FloatArray) -> None:
-    """Fill out (2, 17) with the derivative of a valid projection by fx, fy, cx, cy and the coefficients."""
+def coefficient_columns(model_id: int, k: FloatArray, x: float, y: float, z: float, out: FloatArray) -> None:
+    """Differentiate a valid projection by fx, fy, cx, cy and the coefficients.
+
+    Args:
+        model_id: Number of the lens.
+        k: ``Lens.kernel_parameters``, shape (17,).
+        x: Point in camera axes, m.
+        y: As x.
+        z: As x.
+        out: Derivatives by the kernel parameters, filled, shape (2, 17), px per unit.
+    """
     fx, fy = k[0], k[1]
     out[:, :] = 0.0
     out[0, 2] = 1.0
@@ -408,7 +417,7 @@ def project_points_with_jacobians(
         by_point[i, 0, 0], by_point[i, 0, 1], by_point[i, 0, 2] = u_x, u_y, u_z
         by_point[i, 1, 0], by_point[i, 1, 1], by_point[i, 1, 2] = v_x, v_y, v_z
         if is_valid:
-            _coefficient_columns(model_id, parameters, x, y, z, by_parameters[i])
+            coefficient_columns(model_id, parameters, x, y, z, by_parameters[i])
         else:
             by_parameters[i] = nan
     return px, by_point, by_parameters
