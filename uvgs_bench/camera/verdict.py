@@ -68,7 +68,7 @@ def total_error_px(result: CalibrationResult, px: FloatArray) -> FloatArray:
         One-sigma error along the worst direction, shape (N,), px; NaN where the lens has no ray.
     """
     sigma = worst_sigma(projection_uncertainty(result.calibration, px))
-    total: FloatArray = np.hypot(_doubt(result) * sigma, result.structure.systematic_px)
+    total: FloatArray = np.hypot(doubt_factor(result) * sigma, result.structure.systematic_px)
     return total
 
 
@@ -82,7 +82,7 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
         The verdict; ``inconclusive`` when there are too few views to hold halves against each other.
     """
     lens = result.calibration.lens
-    good_px = _radius_of_limit(result)
+    good_px = good_radius_px(result)
     covered_px, whole_px = result.coverage.radius_px, result.coverage.picture_radius_px
     radius_px = min(good_px, covered_px)
     refused = _refusals(result)
@@ -108,11 +108,12 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
     return Verdict("usable_within_radius", radius_px, (reason, *_remarks(result)), wishes)
 
 
-def _doubt(result: CalibrationResult) -> float:
+def doubt_factor(result: CalibrationResult) -> float:
+    """How many times the deviations are too small by the evidence of two halves, at least 1."""
     return max(1.0, result.split_half.ratio) if result.split_half is not None else 1.0
 
 
-def _radius_of_limit(result: CalibrationResult) -> float:
+def good_radius_px(result: CalibrationResult) -> float:
     """Radius about the principal point within which no pixel's total error exceeds the limit, px."""
     px = picture_grid(result.calibration.lens, *_GRID)
     radius = np.linalg.norm(px - result.calibration.lens.parameters[2:4], axis=1)
@@ -146,7 +147,7 @@ def _refusals(result: CalibrationResult) -> list[str]:
             )
         else:
             said.append("lenses fitted without some pictures cannot see all corners of those pictures")
-    relative = float((calibration.sigmas[:2] / calibration.lens.parameters[:2]).max()) * _doubt(result)
+    relative = float((calibration.sigmas[:2] / calibration.lens.parameters[:2]).max()) * doubt_factor(result)
     if relative > MAX_FOCAL_SIGMA:
         said.append(
             f"the focal length is only known to {100 * relative:.1f} % (limit {100 * MAX_FOCAL_SIGMA:.1f} %), "

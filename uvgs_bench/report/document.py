@@ -264,6 +264,9 @@ class Document:
         key_figures: Headline numbers.
         sections: The chapters.
         provenance: Name and value of everything the numbers depend on, as text.
+        genre: What kind of report it is, in two words.
+        subject: What was done at ``created_utc``, in one word.
+        verdict_word: The verdict as printed, where the plain word says too little.
 
     Raises:
         ValueError: Two sections, figures or pictures share a key.
@@ -278,6 +281,9 @@ class Document:
     key_figures: tuple[KeyFigure, ...]
     sections: tuple[Section, ...]
     provenance: tuple[tuple[str, str], ...]
+    genre: str = "accuracy report"
+    subject: str = "run"
+    verdict_word: str = ""
 
     def __post_init__(self) -> None:
         keys = [s.key for s in self.sections] + [f.key for f in self.figures()] + [p.key for p in self.pictures()]
@@ -306,10 +312,12 @@ def document_data(document: Document) -> Data:
     return {
         "schema": SCHEMA,
         "kind": "uvgs_report",
+        "genre": document.genre,
+        "subject": document.subject,
         "title": document.title,
         "subtitle": document.subtitle,
         "created_utc": document.created_utc,
-        "verdict": Mark(document.verdict).data(),
+        "verdict": Mark(document.verdict, document.verdict_word).data(),
         "headline": document.headline,
         "banners": [banner.data() for banner in document.banners],
         "key_figures": [figure.data() for figure in document.key_figures],
