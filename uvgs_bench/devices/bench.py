@@ -8,6 +8,7 @@ import numpy as np
 
 from uvgs_bench.accuracy.observations import Mount
 from uvgs_bench.devices.gantry.axes import Axis, AxisKind, Envelope
+from uvgs_bench.devices.gantry.registry import is_simulated
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import m_from_mm, mps_from_mm_min, rad_from_deg, radps_from_deg_min
@@ -194,4 +195,4 @@ class Bench:
     @property
     def is_simulated(self) -> bool:
         """Whether camera and gantry are both the simulated ones of this file."""
-        return self.gantry_port.startswith("grbl:sim:") and self.camera_source.startswith("sim:")
+        return is_simulated(self.gantry_port) and self.camera_source.startswith("sim:")

@@ -17,7 +17,7 @@ from uvgs_bench.devices.bench import Bench
 from uvgs_bench.devices.cameras.registry import open_camera
 from uvgs_bench.devices.clock import Clock, RealClock
 from uvgs_bench.devices.gantry.gantry import ControllerInfo
-from uvgs_bench.devices.gantry.registry import open_gantry
+from uvgs_bench.devices.gantry.registry import is_simulated, open_gantry, spec_on_bench
 from uvgs_bench.errors import ConfigError, RunError, UnreadableDocument
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
@@ -304,7 +304,7 @@ def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIM
 
             twin = start_simulated_bench(set_up.bench, set_up.beacon, speed=simulated_speed, seed=set_up.noise_seed)
             stack.callback(twin.close)
-            clock, gantry_spec = twin.clock, twin.gantry_spec
+            clock, gantry_spec = twin.clock, spec_on_bench(gantry_spec, twin.name) or twin.gantry_spec
             camera_spec = twin.camera_spec if _is_own_camera(camera_spec) else camera_spec
         sensor = Uvgs(set_up.calibration, set_up.beacon, set_up.config, clock=_stage_clock)
         sensor.warm_up()
@@ -332,12 +332,12 @@ def _stage_clock() -> float:
 
 
 def _is_simulated(spec: str) -> bool:
-    return spec.startswith(("sim:", "grbl:sim:"))
+    return spec.startswith("sim:") or is_simulated(spec)
 
 
 def _is_own_gantry(spec: str) -> bool:
     """Whether a spec means the simulated gantry of the bench file, not one that runs already."""
-    return spec in ("grbl:sim:", "grbl:sim://")
+    return spec_on_bench(spec, "") is not None
 
 
 def _is_own_camera(spec: str) -> bool:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import serial
 
 from uvgs_bench.devices.clock import Clock
+from uvgs_bench.devices.gantry.faulty_port import FaultyPort, split_address
 from uvgs_bench.devices.gantry.gantry import WireLog
 from uvgs_bench.devices.gantry.grbl_protocol import check_line
 from uvgs_bench.errors import GantryError, GantryLost
@@ -30,12 +31,13 @@ class GrblWire:
     never looks silent.
 
     Args:
-        address: A device file or a pyserial URL.
+        address: A device file or a pyserial URL; with ``fault+`` before it, seen through a layer of faults.
         clock: Bench time.
         log: Called for everything on the wire.
 
     Raises:
         GantryError: The port cannot be opened.
+        ConfigError: The faults make no sense.
     """
 
     def __init__(self, address: str, *, clock: Clock, log: WireLog) -> None:
@@ -46,12 +48,15 @@ class GrblWire:
         self._buffer = bytearray()
         if _SIMULATED_PORTS not in serial.protocol_handler_packages:
             serial.protocol_handler_packages.append(_SIMULATED_PORTS)
+        inner, faults = split_address(address)
         try:
             self._port: Any = serial.serial_for_url(
-                address, baudrate=115200, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True
+                inner, baudrate=115200, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
             raise GantryError(_why_not_open(error), address) from None
+        if faults is not None:
+            self._port = FaultyPort(self._port, faults, clock)
 
     def remark(self, text: str) -> None:
         """Put a remark into the log."""

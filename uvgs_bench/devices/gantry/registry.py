@@ -1,7 +1,11 @@
-"""Gantry drivers by the scheme of their spec: ``grbl:/dev/ttyACM0``, ``grbl:sim://``, ``grbl:spy:///dev/ttyACM0``."""
+"""Gantry drivers by the scheme of their spec: ``grbl:/dev/ttyACM0``, ``grbl:sim://``, ``grbl:spy:///dev/ttyACM0``.
+
+``grbl:fault+ADDRESS?drop=0.001&seed=7`` puts a bad line before any of them, see ``faulty_port``.
+"""
 
 from __future__ import annotations
 
+import re
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Any, cast
@@ -13,6 +17,31 @@ from uvgs_bench.errors import ConfigError
 
 GANTRIES = {"grbl": "uvgs_bench.devices.gantry.grbl:GrblGantry"}
 """Scheme to ``module:Class``. The class has ``open`` and ``halt`` with the arguments of the functions below."""
+
+_SIMULATED = re.compile(r"^(?P<scheme>grbl:(?:fault\+)?sim:)(?P<rest>.*)$")
+_UNNAMED = re.compile(r"^(?://)?(?P<query>\?.*)?$")
+
+
+def is_simulated(spec: str) -> bool:
+    """Whether a spec means a simulated gantry, a live one by its name or that of the bench file."""
+    return _SIMULATED.match(spec) is not None
+
+
+def spec_on_bench(spec: str, bench_name: str) -> str | None:
+    """The spec of the simulated gantry on a live bench, in place of one that names no bench.
+
+    Args:
+        spec: ``grbl:sim://``, or the same behind faults: ``grbl:fault+sim://?drop=0.001``.
+        bench_name: Name of the live bench.
+
+    Returns:
+        The spec with the name, or None when it means something else.
+    """
+    found = _SIMULATED.match(spec)
+    unnamed = None if found is None else _UNNAMED.match(found["rest"])
+    if found is None or unnamed is None or (unnamed["query"] and "fault+" not in found["scheme"]):
+        return None
+    return f"{found['scheme']}//{bench_name}{unnamed['query'] or ''}"
 
 
 def open_gantry(

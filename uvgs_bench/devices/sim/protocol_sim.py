@@ -7,7 +7,7 @@ does for an Arduino.
 
 from __future__ import annotations
 
-import time
+from math import inf
 from urllib.parse import parse_qsl, urlsplit
 
 from serial import PortNotOpenError, SerialBase, SerialException, to_bytes
@@ -44,7 +44,9 @@ class Serial(SerialBase):  # type: ignore[misc]
         """Nothing to configure."""
 
     def _update_dtr_state(self) -> None:
-        """Only opening resets."""
+        """A rising edge resets, as on an Arduino."""
+        if self.dtr:
+            self._device.power_cycle(self._clock.now_ns())
 
     def _update_rts_state(self) -> None:
         """Not wired."""
@@ -57,17 +59,18 @@ class Serial(SerialBase):  # type: ignore[misc]
 
     def read(self, size: int = 1) -> bytes:
         """Read up to ``size`` bytes, waiting for them no longer than ``timeout``."""
-        deadline_s = None if self.timeout is None else time.monotonic() + self.timeout
+        wait_s = inf if self.timeout is None else self.timeout * self._speed
+        begun_ns = self._clock.now_ns()
         while True:
             # The time is taken first: what has been sent by the deadline is received, however late this thread runs.
-            left_s = _LONGEST_NAP_S if deadline_s is None else deadline_s - time.monotonic()
+            left_s = wait_s - s_from_ns(self._clock.now_ns() - begun_ns)
             self._pump()
             if len(self._received) >= size or left_s <= 0.0:
                 break
             event_ns = self._device.next_event_ns()
             if event_ns is not None:
-                left_s = min(left_s, max(0.0, s_from_ns(event_ns - self._clock.now_ns()) / self._speed))
-            time.sleep(min(left_s, _LONGEST_NAP_S))
+                left_s = min(left_s, max(0.0, s_from_ns(event_ns - self._clock.now_ns())))
+            self._clock.sleep(min(left_s, _LONGEST_NAP_S * self._speed))
         taken = bytes(self._received[:size])
         del self._received[:size]
         return taken
