@@ -1,5 +1,8 @@
 """Pose files: CSV with every capture, TUM with poses only, JSON lines with covariance. The file's ending chooses.
 
+A held pose (an old one repeated because there is no fresh one) never looks fresh: its status is ``held``, its CSV line
+has no deviations, and in a TUM file it stands in a comment.
+
 To add a format: write a class with ``write`` and ``close``, and one line in ``WRITERS``.
 """
 
@@ -8,7 +11,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,15 +24,39 @@ import numpy as np
 from uvgs_bench.errors import ConfigError, FormatError, UvgsError
 from uvgs_bench.geometry import Pose
 from uvgs_bench.sensor.capture import Capture
+from uvgs_bench.sensor.handover import Held
 from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
-from uvgs_bench.units import NS_PER_S
+from uvgs_bench.units import NS_PER_S, s_from_ns
 
 CSV_COLUMNS = (
     "index", "source", "t_ns", "status", "reason", "beacon", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw",
     "sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad", "rms_px", "margin",
-    "blob_count",
+    "blob_count", "flags", "is_active", "held_age_s", "exposure_s", "next_exposure_s",
 )  # fmt: skip
-_TUM_HEADER = "# timestamp_s tx_m ty_m tz_m qx qy qz qw (camera_from_beacon; captures without a pose are left out)\n"
+_OLDER_COLUMNS = CSV_COLUMNS[: CSV_COLUMNS.index("flags")]
+_TUM_HEADER = (
+    "# timestamp_s tx_m ty_m tz_m qx qy qz qw (camera_from_beacon; captures without a pose are left out,\n"
+    "# a repeated pose stands in a line '# held')\n"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LineNote:
+    """What is known about a line besides the outcome.
+
+    Args:
+        flags: What a user should know about the pose, besides the flags it has already.
+        is_active: Whether this beacon is the one that is believed now.
+        switched: Why this beacon became active in this capture; empty when it did not.
+        next_exposure_s: Exposure asked for after this capture, s; None when nothing was asked.
+        exposure_reason: Why, in one line.
+    """
+
+    flags: tuple[str, ...] = ()
+    is_active: bool = True
+    switched: str = ""
+    next_exposure_s: float | None = None
+    exposure_reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +66,12 @@ class PoseRecord:
     Args:
         index: Number of the capture, or of the line in a TUM file.
         source: Where the capture came from; empty in a TUM file.
-        t_ns: Instant, ns.
-        reason: ``stage/reason`` of a miss; empty for a pose.
-        pose: camera_from_beacon, or None for a miss.
+        t_ns: Instant of the capture, ns.
+        reason: ``stage/reason`` of a miss or of the miss behind a held pose; empty for a pose.
+        pose: camera_from_beacon, or None for a miss and for a held pose.
+        beacon: Its beacon; empty in a TUM file.
+        held_pose: The repeated pose of a held line, or None.
+        flags: The flags of the line.
     """
 
     index: int
@@ -48,10 +79,16 @@ class PoseRecord:
     t_ns: int
     reason: str
     pose: Pose | None
+    beacon: str = ""
+    held_pose: Pose | None = None
+    flags: tuple[str, ...] = ()
+
+
+_NO_NOTE = LineNote()
 
 
 class PoseWriter:
-    """Writes one line per capture, each handed to the operating system at once: a stopped run keeps its lines.
+    """Writes one line per capture and beacon, each handed to the system at once: a stopped run keeps its lines.
 
     Args:
         path: The file.
@@ -65,8 +102,7 @@ class PoseWriter:
     header = ""
 
     def __init__(self, path: Path, *, force: bool = False) -> None:
-        if path.exists() and not force:
-            raise ConfigError("exists already; use --force to replace it", str(path))
+        _check_free(path, force)
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -75,11 +111,16 @@ class PoseWriter:
             raise UvgsError(f"{path}: cannot be written: {error.strerror or error}") from None
         self._put(self.header)
 
-    def write(self, capture: Capture, outcome: Outcome) -> None:
-        """Append a capture's outcome. Raises UvgsError when the disk is full."""
-        self._put(self.line(capture, outcome))
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files it writes."""
+        return (self.path,)
 
-    def line(self, capture: Capture, outcome: Outcome) -> str:
+    def write(self, capture: Capture, outcome: Outcome | Held, note: LineNote = _NO_NOTE) -> None:
+        """Append the outcome of a capture for one beacon. Raises UvgsError when the disk is full."""
+        self._put(self.line(capture, outcome, note))
+
+    def line(self, capture: Capture, outcome: Outcome | Held, note: LineNote) -> str:
         """The line with its end, or nothing when the format has no place for it."""
         raise NotImplementedError
 
@@ -107,14 +148,20 @@ class PoseWriter:
 
 
 class CsvPoses(PoseWriter):
-    """One line per capture, misses included."""
+    """One line per capture and beacon, misses included."""
 
     header = ",".join(CSV_COLUMNS) + "\r\n"
 
-    def line(self, capture: Capture, outcome: Outcome) -> str:
-        """A row with the columns ``CSV_COLUMNS``; the pose columns of a miss are empty."""
+    def line(self, capture: Capture, outcome: Outcome | Held, note: LineNote) -> str:
+        """A row with the columns ``CSV_COLUMNS``; what a miss or a held pose has no value for is empty."""
         head = [capture.index, capture.source, capture.t_ns]
-        if isinstance(outcome, PoseEstimate):
+        flags, age_s = " ".join(_flags(outcome, note)), ""
+        if isinstance(outcome, Held):
+            miss, pose = outcome.miss, outcome.last.camera_from_beacon
+            reason, age_s = f"{miss.stage}/{miss.reason}", repr(s_from_ns(outcome.age_ns))
+            where = [*_digits(pose.t_m), *_digits(pose.quaternion_xyzw())]
+            row = [*head, "held", reason, miss.beacon, *where, *[""] * 8, miss.blob_count]
+        elif isinstance(outcome, PoseEstimate):
             pose = outcome.camera_from_beacon
             row = [
                 *head, "ok", "", outcome.beacon,
@@ -124,64 +171,122 @@ class CsvPoses(PoseWriter):
             ]  # fmt: skip
         else:
             row = [*head, "miss", f"{outcome.stage}/{outcome.reason}", outcome.beacon, *[""] * 15, outcome.blob_count]
+        exposures = ["" if value is None else repr(value) for value in (capture.exposure_s, note.next_exposure_s)]
         text = io.StringIO()
-        csv.writer(text).writerow(row)
+        csv.writer(text).writerow([*row, flags, int(note.is_active), age_s, *exposures])
         return text.getvalue()
 
 
 class TumPoses(PoseWriter):
-    """Poses only: stamp in seconds, translation, quaternion with the scalar last."""
+    """Fresh poses only: stamp in seconds, translation, quaternion with the scalar last. The rest is comments."""
 
     header = _TUM_HEADER
 
-    def line(self, capture: Capture, outcome: Outcome) -> str:
-        """A line for a pose, nothing for a miss."""
-        if not isinstance(outcome, PoseEstimate):
-            return ""
-        pose = outcome.camera_from_beacon
-        seconds, rest = divmod(capture.t_ns, NS_PER_S)
-        return " ".join([f"{seconds}.{rest:09d}", *_digits(pose.t_m), *_digits(pose.quaternion_xyzw())]) + "\n"
+    def line(self, capture: Capture, outcome: Outcome | Held, note: LineNote) -> str:
+        """A line for a pose, a comment for a held one, nothing for a miss; comments for what changed."""
+        lines = []
+        if note.switched:
+            lines.append(f"# active from here on: {note.switched}")
+        if isinstance(outcome, Held):
+            age_s = repr(s_from_ns(outcome.age_ns))
+            lines.append(f"# held {_tum(capture.t_ns, outcome.last.camera_from_beacon)} age_s {age_s}")
+        elif isinstance(outcome, PoseEstimate):
+            lines.append(_tum(capture.t_ns, outcome.camera_from_beacon))
+        if note.next_exposure_s is not None:
+            lines.append(f"# next_exposure_s {note.next_exposure_s!r}: {note.exposure_reason}")
+        return "".join(f"{line}\n" for line in lines)
+
+
+class TumPerBeacon(PoseWriter):
+    """One TUM file per beacon, ``NAME_BEACON.tum``: poses of two beacons are no trajectory.
+
+    Args:
+        path: The file that was asked for; the beacon's name is added to its own.
+        beacons: Names of the beacons.
+        force: Whether existing files may be replaced.
+
+    Raises:
+        ConfigError: One of them exists and may not be replaced.
+        UvgsError: One cannot be written.
+    """
+
+    def __init__(self, path: Path, beacons: Sequence[str], *, force: bool = False) -> None:
+        self.path = path
+        paths = {name: path.with_name(f"{path.stem}_{_file_word(name)}{path.suffix}") for name in beacons}
+        for file in paths.values():
+            _check_free(file, force)
+        self._writers = {name: TumPoses(file, force=force) for name, file in paths.items()}
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """One file per beacon."""
+        return tuple(writer.path for writer in self._writers.values())
+
+    def write(self, capture: Capture, outcome: Outcome | Held, note: LineNote = _NO_NOTE) -> None:
+        """Append to the file of the outcome's beacon. Raises UvgsError when the disk is full."""
+        name = outcome.miss.beacon if isinstance(outcome, Held) else outcome.beacon
+        self._writers[name].write(capture, outcome, note)
+
+    def close(self) -> None:
+        """Close the files. Safe to call twice."""
+        for writer in self._writers.values():
+            writer.close()
 
 
 class JsonLinesPoses(PoseWriter):
-    """One JSON object per capture, with covariance and stage times."""
+    """One JSON object per capture and beacon, with covariance and stage times."""
 
-    def line(self, capture: Capture, outcome: Outcome) -> str:
-        """The object of a pose or of a miss."""
+    def line(self, capture: Capture, outcome: Outcome | Held, note: LineNote) -> str:
+        """The object of a pose, of a held pose or of a miss."""
         record: dict[str, object] = {"index": capture.index, "source": capture.source, "t_ns": capture.t_ns}
-        if isinstance(outcome, PoseEstimate):
-            pose = outcome.camera_from_beacon
+        told = outcome.miss if isinstance(outcome, Held) else outcome
+        if isinstance(told, PoseEstimate):
             record |= {
                 "status": "ok",
-                "beacon": outcome.beacon,
-                "t_m": pose.t_m.tolist(),
-                "q_xyzw": pose.quaternion_xyzw().tolist(),
-                "covariance": outcome.covariance.tolist(),
-                "rms_px": outcome.rms_px,
-                "margin": outcome.margin if np.isfinite(outcome.margin) else None,
-                "led_px": [[v if np.isfinite(v) else None for v in row] for row in outcome.led_px.tolist()],
+                "beacon": told.beacon,
+                **_pose_record(told.camera_from_beacon),
+                "covariance": told.covariance.tolist(),
+                "rms_px": told.rms_px,
+                "margin": told.margin if np.isfinite(told.margin) else None,
+                "led_px": [[v if np.isfinite(v) else None for v in row] for row in told.led_px.tolist()],
             }
         else:
             record |= {
-                "status": "miss",
-                "beacon": outcome.beacon,
-                "stage": outcome.stage,
-                "reason": outcome.reason,
-                "detail": outcome.detail,
+                "status": "held" if isinstance(outcome, Held) else "miss",
+                "beacon": told.beacon,
+                "stage": told.stage,
+                "reason": told.reason,
+                "detail": told.detail,
             }
-        record |= {"blob_count": outcome.blob_count, "stage_s": outcome.stage_s}
+        if isinstance(outcome, Held):
+            last = outcome.last
+            # Nested, so that no reader takes it for a pose of this capture.
+            record["held"] = {
+                **_pose_record(last.camera_from_beacon),
+                "t_ns": last.t_ns,
+                "age_s": s_from_ns(outcome.age_ns),
+                "covariance": last.covariance.tolist(),
+            }
+        record |= {"flags": list(_flags(outcome, note)), "is_active": note.is_active}
+        if note.switched:
+            record["switched"] = note.switched
+        record["exposure_s"] = capture.exposure_s
+        if note.next_exposure_s is not None:
+            record |= {"next_exposure_s": note.next_exposure_s, "exposure_reason": note.exposure_reason}
+        record |= {"blob_count": told.blob_count, "stage_s": told.stage_s}
         return json.dumps(record, allow_nan=False) + "\n"
 
 
 WRITERS: dict[str, Callable[..., PoseWriter]] = {".csv": CsvPoses, ".tum": TumPoses, ".jsonl": JsonLinesPoses}
 
 
-def open_pose_writer(path: Path, *, force: bool = False) -> PoseWriter:
+def open_pose_writer(path: Path, *, force: bool = False, beacons: Sequence[str] = ()) -> PoseWriter:
     """Open the writer the file's ending asks for.
 
     Args:
         path: ``*.csv``, ``*.tum`` or ``*.jsonl``.
         force: Whether an existing file may be replaced.
+        beacons: Names of the beacons; with more than one a TUM file becomes one file per beacon.
 
     Returns:
         The open writer.
@@ -192,6 +297,8 @@ def open_pose_writer(path: Path, *, force: bool = False) -> PoseWriter:
     """
     if path.suffix not in WRITERS:
         raise ConfigError(f"unknown ending '{path.suffix}', expected one of: {', '.join(WRITERS)}", str(path))
+    if path.suffix == ".tum" and len(beacons) > 1:
+        return TumPerBeacon(path, beacons, force=force)
     return WRITERS[path.suffix](path, force=force)
 
 
@@ -220,19 +327,22 @@ def read_poses(path: Path) -> list[PoseRecord]:
 
 def _read_csv(text: str, path: Path) -> list[PoseRecord]:
     rows = csv.DictReader(io.StringIO(text))
-    if tuple(rows.fieldnames or ()) != CSV_COLUMNS:
+    if tuple(rows.fieldnames or ()) not in (CSV_COLUMNS, _OLDER_COLUMNS):
         raise FormatError(f"expected the columns {','.join(CSV_COLUMNS)}", str(path), 1)
     out = []
     for number, row in enumerate(rows, start=2):
         try:
             pose = None
-            if row["status"] == "ok":
+            if row["status"] in ("ok", "held"):
                 q = [float(row[name]) for name in ("qx", "qy", "qz", "qw")]
                 t = [float(row[name]) for name in ("x_m", "y_m", "z_m")]
                 pose = Pose.from_quaternion(q, t, "camera", "beacon")
             elif row["status"] != "miss":
-                raise ValueError(f"status is '{row['status']}', expected ok or miss")
-            out.append(PoseRecord(int(row["index"]), row["source"], int(row["t_ns"]), row["reason"], pose))
+                raise ValueError(f"status is '{row['status']}', expected ok, miss or held")
+            fresh, held = (pose, None) if row["status"] == "ok" else (None, pose)
+            flags = tuple((row.get("flags") or "").split())
+            head = int(row["index"]), row["source"], int(row["t_ns"]), row["reason"]
+            out.append(PoseRecord(*head, fresh, row["beacon"], held, flags))
         except (ValueError, TypeError) as error:
             raise FormatError(str(error), str(path), number) from None
     return out
@@ -260,3 +370,26 @@ def _read_tum(text: str, path: Path) -> list[PoseRecord]:
 def _digits(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> list[str]:
     """Shortest text that reads back to the same number."""
     return [repr(float(v)) for v in values]
+
+
+def _flags(outcome: Outcome | Held, note: LineNote) -> tuple[str, ...]:
+    own = ("held",) if isinstance(outcome, Held) else outcome.flags if isinstance(outcome, PoseEstimate) else ()
+    return (*own, *note.flags)
+
+
+def _pose_record(pose: Pose) -> dict[str, object]:
+    return {"t_m": pose.t_m.tolist(), "q_xyzw": pose.quaternion_xyzw().tolist()}
+
+
+def _tum(t_ns: int, pose: Pose) -> str:
+    seconds, rest = divmod(t_ns, NS_PER_S)
+    return " ".join([f"{seconds}.{rest:09d}", *_digits(pose.t_m), *_digits(pose.quaternion_xyzw())])
+
+
+def _file_word(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", name)
+
+
+def _check_free(path: Path, force: bool) -> None:
+    if path.exists() and not force:
+        raise ConfigError("exists already; use --force to replace it", str(path))
