@@ -186,7 +186,11 @@ def _keep(
             slot = found
             found += 1
         else:
-            slot = int(np.argmax(ranks))
+            # Not np.argmax, which brings scipy along when it is loaded.
+            slot = 0
+            for i in range(1, ranks.shape[0]):
+                if ranks[i] > ranks[slot]:
+                    slot = i
             if rank >= ranks[slot]:
                 return found
     ranks[slot] = rank

@@ -116,7 +116,10 @@ def fit_leds(
         Chi-square, steps of the second solution, whether both converged.
     """
     chi2, steps, converged = refine_pose(model_id, lens, points, px, sigma, R, t, max_iterations, np.inf)
-    if converged and radii.max() > 0.0:
+    is_disc = False
+    for i in range(points.shape[0]):
+        is_disc = is_disc or radii[i] > 0.0
+    if converged and is_disc:
         shift = np.empty((points.shape[0], 2))
         disc_shift(model_id, lens, points, axes, radii, R, t, shift)
         for i in range(points.shape[0]):
