@@ -7,6 +7,7 @@ Source: Z. Zhang, A flexible new technique for camera calibration (2000), sectio
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -23,8 +24,7 @@ _FOCAL_WIDTHS = (0.2, 0.28, 0.38, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
 _FULL_STARTS = 3
 # The polynomials in tan(angle) end before 90 degrees.
 _WIDEST_RAD = 1.4
-# A first try whose typical residual is a corner finder's noise has found the minimum: a wrong pose or focal length
-# costs pixels, not tenths.
+# Typical residual of a start that has found the minimum.
 _CONVINCING_PX = 0.5
 
 
@@ -47,18 +47,19 @@ def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle
         focal_px = _focal_of_homographies(corners, width_px, height_px)
         lens = _plain_lens(model, focal_px, width_px, height_px)
         bundle = adjust(refine_poses(planar_poses(lens, corners), corners, iterations=2), corners)
-        if float(np.median(np.linalg.norm(bundle.residuals_px(corners), axis=1))) < _CONVINCING_PX:
+        if is_convincing(bundle, corners):
             return bundle
     except (CalibrationError, np.linalg.LinAlgError, ValueError):
         pass
     return _from_many_focals(model, corners, width_px, height_px)
 
 
-def grown(model: str, corners: Corners, width_px: int, height_px: int) -> list[Bundle]:
+def grown(model: str, corners: Corners, width_px: int, height_px: int) -> Iterator[Bundle]:
     """Starts of a lens whose numerator and denominator, started from nothing, run away together.
 
-    From ``plumb_bob`` with the new coefficients zero, and from ``fov`` with the coefficients that follow its radial
-    map: a wide ``plumb_bob`` often ends its valid field at the outermost corners, which no step may then leave.
+    From ``fov`` with the coefficients that follow its radial map, then from ``plumb_bob`` with the new coefficients
+    zero. A wide ``plumb_bob`` often ends its valid field at the outermost corners, which no step may then leave, and
+    takes long to find out.
 
     Args:
         model: ``rational_polynomial`` or ``thin_prism``.
@@ -66,15 +67,15 @@ def grown(model: str, corners: Corners, width_px: int, height_px: int) -> list[B
         width_px: Picture width, px.
         height_px: Picture height, px.
 
-    Returns:
-        The starts, not adjusted, at least one.
+    Yields:
+        The starts, not adjusted, at least one; each is computed when it is asked for.
 
     Raises:
         CalibrationError: No start sees the boards.
     """
-    found, failed = [], CalibrationError("")
-    missing = len(LENSES[model].parameter_names) - len(LENSES["plumb_bob"].parameter_names)
-    for smaller in ("plumb_bob", "fov"):
+    count, failed = 0, CalibrationError(f"a {model} lens does not see these boards from any start")
+    size = len(LENSES[model].parameter_names)
+    for smaller in ("fov", "plumb_bob"):
         try:
             bundle = start(smaller, corners, width_px, height_px)
             parameters = bundle.lens.parameters
@@ -82,19 +83,21 @@ def grown(model: str, corners: Corners, width_px: int, height_px: int) -> list[B
                 points = bundle.points_in_camera(corners)
                 angle = float(np.arctan2(np.linalg.norm(points[:, :2], axis=1), points[:, 2]).max())
                 parameters = _ratio_like_fov(parameters, min(angle + 0.2, _WIDEST_RAD))
-                parameters = np.concatenate([parameters, np.zeros(missing - 3)])
-            else:
-                parameters = np.concatenate([parameters, np.zeros(missing)])
-            lens = Lens(model, width_px, height_px, parameters)
+            lens = Lens(model, width_px, height_px, np.pad(parameters, (0, size - parameters.size)))
+            larger = Bundle(lens, bundle.R_cb, bundle.t_cb)
         except CalibrationError as error:
             failed = error
             continue
-        larger = Bundle(lens, bundle.R_cb, bundle.t_cb)
         if np.isfinite(larger.residuals_px(corners)).all():
-            found.append(larger)
-    if not found:
-        raise CalibrationError(str(failed) or f"a {model} lens does not see these boards from any start")
-    return found
+            count += 1
+            yield larger
+    if count == 0:
+        raise failed
+
+
+def is_convincing(bundle: Bundle, corners: Corners) -> bool:
+    """Whether the typical residual is that of a corner finder: a wrong minimum costs pixels, not tenths."""
+    return float(np.median(np.linalg.norm(bundle.residuals_px(corners), axis=1))) < _CONVINCING_PX
 
 
 def _ratio_like_fov(fov: FloatArray, widest_rad: float) -> FloatArray:

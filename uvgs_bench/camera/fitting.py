@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uvgs_bench.camera.boards import BoardMiss, BoardView
 from uvgs_bench.camera.bundle import SHAPE_NAMES, Bundle, Corners, adjust
-from uvgs_bench.camera.bundle_start import grown, start
+from uvgs_bench.camera.bundle_start import grown, is_convincing, start
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.cross_validation import MIN_VIEWS, HeldOut, SplitHalf, held_out, split_half
 from uvgs_bench.camera.lens import LENSES
@@ -265,6 +265,8 @@ def _started(corners: Corners, model: str, width_px: int, height_px: int) -> tup
         adjusted = adjust(bundle, corners, prior_of(names, min(_noise_px(bundle, corners), _EXPECTED_NOISE_PX)))
         if best is None or _noise_px(adjusted, corners) < _noise_px(best, corners):
             best = adjusted
+        if is_convincing(best, corners):
+            break
     assert best is not None
     # Once more with the noise of the lens itself.
     prior = prior_of(names, _noise_px(best, corners))
