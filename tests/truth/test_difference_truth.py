@@ -127,6 +127,39 @@ def test_pairs_find_out_themselves_which_one_is_lit():
     assert all(d.capture.source == "on - off" for d in differences)
 
 
+def test_a_lost_capture_turns_the_pairs_round_and_is_noticed():
+    on, off, _ = pair(np.random.default_rng(17), (0.0, 0.0))
+    uvgs = Uvgs(spots.calibration(), spots.beacon())
+    captures = [on, off] * 4
+    del captures[3]
+    # on off | on ON | off on | off: from the third pair on the dark capture comes first.
+    solved = [isinstance(uvgs.solve(d.capture), PoseEstimate) for d in difference_pairs(captures)]
+    assert solved == [True, False, True]
+    told = [isinstance(uvgs.solve(d.capture), PoseEstimate) for d in difference_pairs(captures, is_first_on=True)]
+    assert told == [True, False, False]
+
+
+def test_a_moved_target_lit_in_both_captures_is_told_from_a_switched_one():
+    rng = np.random.default_rng(18)
+    uvgs = Uvgs(spots.calibration(), spots.beacon())
+    wrong = 0
+    for _ in range(3):
+        pose = spots.random_pose(rng, near_m=0.5, far_m=0.8)
+        target = spots.lens().project(pose.apply(spots.beacon().positions_m))
+        on = Capture(spots.draw(target, rng, 150.0, 2.2), 0)
+        assert difference(on, Capture(spots.draw(target[:0], rng), 1)).is_switched_at(target)
+        for moved_px in (1.5, 3.0, 6.0):
+            again = Capture(spots.draw(target + [moved_px, 0.0], rng, 150.0, 2.2), 1)
+            got = difference(on, again, DifferenceConfig(motion_px=0))
+            outcome = uvgs.solve(got.capture)
+            if isinstance(outcome, PoseEstimate):
+                off_m = np.abs(outcome.camera_from_beacon.t_m - pose.t_m)
+                wrong += bool((off_m > 10.0 * outcome.position_sigma_m).any())
+                assert not got.is_switched_at(outcome.led_px)
+    # Crescents fit as well as LEDs and are off by tens of deviations: without the check these would be believed.
+    assert wrong >= 6
+
+
 @pytest.mark.parametrize("change", ["size", "type", "exposure"])
 def test_pairs_that_do_not_fit_are_refused(change):
     dark = np.zeros((100, 120), dtype=np.uint8)

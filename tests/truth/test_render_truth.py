@@ -49,6 +49,7 @@ class MovingBeacon:
         self, truth: SimulatedTruth, start: Pose, velocity_mps: tuple[float, float, float] = (0, 0, 0)
     ) -> None:
         self.truth, self.seed, self.true_beacon = truth, truth.seed, BEACON
+        self.companions: tuple[tuple[Pose, Beacon], ...] = ()
         camera = truth.camera
         self.true_lens = Lens(camera.model, camera.width_px, camera.height_px, np.array(camera.parameters_px))
         self._start, self._velocity_mps = start, np.array(velocity_mps)

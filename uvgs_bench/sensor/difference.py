@@ -23,6 +23,10 @@ _MEAN_SIDE_PX = 5
 # A neighbourhood spanning more than this many deviations has structure; of 25 normal values hardly any span six.
 _STRUCTURE = 8.0
 _REGISTER_STEP = 64.0
+# Share of an LED's light that its dark partner may show.
+_STILL_LIT = 0.3
+# Light this near may reach under an LED and shift its centre.
+_STILL_LIT_PX = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,31 @@ class Difference:
         light[light < 3.0 * self.noise_dn] = 0.0
         result: FloatArray = self.noise_dn**2 + light / self.electrons_per_dn
         return result
+
+    def is_switched_at(self, led_px: FloatArray) -> bool:
+        """Whether the dark capture is dark where LEDs are believed to be, and close around.
+
+        With both captures lit (one between them was lost) a moved LED leaves a crescent, whose centre is not the LED's.
+        A steady light behind one LED does not count; most of them must be dark.
+
+        Args:
+            led_px: Centres, shape (n, 2), px; NaN where an LED was not seen.
+
+        Returns:
+            Whether at least half of those seen shine in the lit capture only.
+        """
+        raw = intensity(self.capture.image)
+        height, width = raw.shape
+        dark = 0
+        seen = led_px[np.isfinite(led_px).all(axis=1)]
+        for u, v in np.rint(seen).astype(int):
+            core = np.s_[max(0, v - 1) : min(height, v + 2), max(0, u - 1) : min(width, u + 2)]
+            r = _STILL_LIT_PX
+            around = np.s_[max(0, v - r) : min(height, v + r + 1), max(0, u - r) : min(width, u + r + 1)]
+            left = float(raw[core].max()) - self._pedestal
+            taken = float(self.removed_dn[around].max()) - self._dark
+            dark += taken < _STILL_LIT * left
+        return bool(2 * dark >= len(seen))
 
     @property
     def _pedestal(self) -> float:
@@ -153,7 +182,7 @@ def difference_pairs(
         captures: Captures, every other one with the light on.
         config: Parameters.
         is_first_on: Whether the first one is lit; None decides it by the first pair, by which of the two has light
-            that the other lacks.
+            that the other lacks, and again where a pair shows nothing: a lost capture turns all later pairs round.
 
     Yields:
         One difference per pair; a last capture without partner is left out.
@@ -163,14 +192,20 @@ def difference_pairs(
     """
     rules = DifferenceConfig() if config is None else config
     first: Capture | None = None
+    is_on = is_first_on
     for capture in captures:
         if first is None:
             first = capture
             continue
-        if is_first_on is None:
-            is_first_on = is_lit(first, capture, rules)
-        on, off = (first, capture) if is_first_on else (capture, first)
-        yield difference(on, off, rules)
+        if is_on is None:
+            is_on = is_lit(first, capture, rules)
+        on, off = (first, capture) if is_on else (capture, first)
+        got = difference(on, off, rules)
+        if is_first_on is None and _surplus_dn(got) == 0.0:
+            turned = difference(off, on, rules)
+            if _surplus_dn(turned) > 0.0:
+                is_on, got = not is_on, turned
+        yield got
         first = None
 
 
@@ -180,13 +215,14 @@ def is_lit(first: Capture, second: Capture, config: DifferenceConfig | None = No
     Raises:
         CaptureError: The captures differ in size, type or exposure.
     """
+    return _surplus_dn(difference(first, second, config)) >= _surplus_dn(difference(second, first, config))
 
-    def surplus(on: Capture, off: Capture) -> float:
-        got = difference(on, off, config)
-        raw = intensity(got.capture.image).astype(np.float64) - np.median(got.capture.image)
-        return float(raw[raw > 8.0 * got.noise_dn].sum())
 
-    return surplus(first, second) >= surplus(second, first)
+def _surplus_dn(got: Difference) -> float:
+    """Light that cannot be noise, summed, DN."""
+    raw = intensity(got.capture.image)
+    height = raw.astype(np.float32) - np.float32(np.median(raw[::7, ::7]))
+    return float(height[height > 8.0 * got.noise_dn].sum())
 
 
 def find_shift(lit: ImageArray, dark: ImageArray, motion_px: int) -> tuple[int, int]:

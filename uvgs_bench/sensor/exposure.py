@@ -19,6 +19,7 @@ from uvgs_bench.sensor.preprocess import intensity
 from uvgs_bench.sensor.saturation import SaturationModel
 
 _REACH_PX = 4
+_CORE_PX = 2
 # Below this the spot is no light but the noise of its surroundings.
 _LEAST_HEIGHT = 0.01
 
@@ -176,6 +177,25 @@ def led_levels(capture: Capture, outcome: Outcome, blobs: Blobs | None, led_coun
         return tuple(levels)
     first = min(led_count, len(levels)) - 1
     return (levels[first], *levels[:first], *levels[first + 1 :])
+
+
+def clipped_leds(capture: Capture, estimate: PoseEstimate) -> int:
+    """How many LEDs of a pose have a pixel at full scale within their core.
+
+    Args:
+        capture: The picture.
+        estimate: Its pose.
+
+    Returns:
+        The count; LEDs that were not seen do not count.
+    """
+    full = full_scale_dn(capture.image)
+    seen = estimate.led_px[np.isfinite(estimate.led_px).all(axis=1)]
+    cores = [
+        capture.image[max(0, v - _CORE_PX) : v + _CORE_PX + 1, max(0, u - _CORE_PX) : u + _CORE_PX + 1]
+        for u, v in np.rint(seen).astype(int)
+    ]
+    return sum(bool(core.size) and float(core.max()) >= full for core in cores)
 
 
 def measure_levels(capture: Capture, boxes_px: FloatArray) -> tuple[LightLevel, ...]:

@@ -11,6 +11,7 @@ from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor.blobs import Blobs, NoBlobs
 from uvgs_bench.sensor.config import UvgsConfig
 
+Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
 HUES_DEG: dict[str, tuple[float, float]] = {"red": (330.0, 30.0), "green": (80.0, 160.0), "blue": (200.0, 270.0)}
 _WHITE_SATURATION = 0.35
 NEEDED = 4
@@ -44,6 +45,25 @@ def distance_bounds(positions_m: FloatArray, focal_px: float, config: UvgsConfig
     return DistanceBounds(config.min_separation_px, focal_px * longest / config.min_range_m)
 
 
+def gates(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> dict[str, Mask]:
+    """What each blob must pass by itself, in the order of asking.
+
+    Args:
+        blobs: All blobs.
+        beacon: Its hue.
+        config: Limits.
+
+    Returns:
+        By name of the gate, which blobs pass it, shape (n,).
+    """
+    return {
+        "area": (blobs.area_px2 >= config.min_area_px2) & (blobs.area_px2 <= config.max_area_px2),
+        "shape": blobs.circularity >= config.min_circularity,
+        "hue": _hue_gate(blobs, beacon, config),
+        "picture border": ~blobs.on_edge,
+    }
+
+
 def select_blobs(
     blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConfig, needed: int = NEEDED
 ) -> Blobs | NoBlobs:
@@ -61,15 +81,9 @@ def select_blobs(
 
     Source: section 2.2 of the uVGS-2 paper.
     """
-    gates = {
-        "area": (blobs.area_px2 >= config.min_area_px2) & (blobs.area_px2 <= config.max_area_px2),
-        "shape": blobs.circularity >= config.min_circularity,
-        "hue": _hue_gate(blobs, beacon, config),
-        "picture border": ~blobs.on_edge,
-    }
     keep = np.ones(len(blobs), dtype=bool)
     dropped = []
-    for name, gate in gates.items():
+    for name, gate in gates(blobs, beacon, config).items():
         lost = int((keep & ~gate).sum())
         if lost:
             dropped.append(f"{lost} by {name}")
@@ -95,7 +109,7 @@ def _too_few(kept: Blobs, blobs: Blobs, dropped: list[str], needed: int) -> NoBl
     return NoBlobs("selection", "too_few_blobs", f"{len(kept)} of {len(blobs)} blobs kept, needs {needed}{why}")
 
 
-def _hue_gate(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _hue_gate(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> Mask:
     everything = np.ones(len(blobs), dtype=bool)
     if np.isnan(blobs.saturation).all():
         return everything
@@ -112,9 +126,7 @@ def _hue_gate(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> np.ndarray[tu
     return np.asarray(inside, dtype=bool)
 
 
-def _distance_gate(
-    centroid_px: FloatArray, bounds: DistanceBounds, needed: int
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _distance_gate(centroid_px: FloatArray, bounds: DistanceBounds, needed: int) -> Mask:
     """Drop a blob too near to a brighter one, and one that has too few others within reach."""
     n = len(centroid_px)
     distance = np.linalg.norm(centroid_px[:, None] - centroid_px[None], axis=2)

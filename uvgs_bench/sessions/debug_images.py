@@ -18,7 +18,7 @@ from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
 from uvgs_bench.sensor.preprocess import intensity, segment
-from uvgs_bench.sensor.selection import select_blobs
+from uvgs_bench.sensor.selection import gates, select_blobs
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.store.documents import write_atomically
 from uvgs_bench.units import deg_from_rad, mm_from_m
@@ -67,22 +67,20 @@ def blob_notes(blobs: Blobs, uvgs: Uvgs) -> tuple[BlobNote, ...]:
     config = uvgs.config
     chosen = select_blobs(blobs, uvgs.beacon, uvgs.calibration.lens.fx_px, config)
     kept = None if isinstance(chosen, NoBlobs) else {tuple(px) for px in chosen.centroid_px.tolist()}
+    passed = gates(blobs, uvgs.beacon, config)
     notes = []
     for i in range(len(blobs)):
-        area = float(blobs.area_px2[i])
-        reason = ""
-        if area < config.min_area_px2:
-            reason = "small"
-        elif area > config.max_area_px2:
-            reason = "large"
-        elif float(blobs.circularity[i]) < config.min_circularity:
-            reason = f"shape {blobs.circularity[i]:.2f}"
-        elif blobs.on_edge[i]:
-            reason = "border"
-        elif kept is not None and tuple(blobs.centroid_px[i].tolist()) not in kept:
-            reason = "distance" if np.isnan(blobs.saturation[i]) else "hue or distance"
+        reason = next((_failing(name, blobs, i) for name, gate in passed.items() if not gate[i]), "")
+        if not reason and kept is not None and tuple(blobs.centroid_px[i].tolist()) not in kept:
+            reason = "distance"
         notes.append(BlobNote(i, i, reason))
     return tuple(notes)
+
+
+def _failing(gate: str, blobs: Blobs, i: int) -> str:
+    """A gate a blob failed, with the value where the drawing does not show it."""
+    value = {"shape": blobs.circularity[i], "hue": blobs.hue_deg[i]}.get(gate)
+    return gate if value is None or np.isnan(value) else f"{gate} {value:.{2 if gate == 'shape' else 0}f}"
 
 
 def draw_debug_image(capture: Capture, outcome: Outcome, uvgs: Uvgs) -> Picture:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from uvgs_bench.devices.bench import Bench, BenchFile
@@ -49,12 +50,13 @@ def read_bench(path: Path) -> Bench:
     )
 
 
-def read_passing_beacon(path: Path, seed: int | None = None) -> PassingBeacon:
+def read_passing_beacon(path: Path, seed: int | None = None, companions: Sequence[Path] = ()) -> PassingBeacon:
     """The scene of ``sim:bench.toml``: the file's camera and beacon, the beacon passing before the camera.
 
     Args:
         path: The bench file.
         seed: Seed in place of the truth's.
+        companions: Files of further beacons that ride beside it.
 
     Returns:
         The scene.
@@ -63,4 +65,5 @@ def read_passing_beacon(path: Path, seed: int | None = None) -> PassingBeacon:
         ConfigError: As ``read_bench`` and ``read_beacon``, or a truth that does not fit the beacon.
     """
     bench = read_bench(path)
-    return PassingBeacon(bench.simulated or SimulatedTruth(), read_beacon(Path(bench.beacon_file)), seed)
+    others = tuple(read_beacon(file) for file in companions)
+    return PassingBeacon(bench.simulated or SimulatedTruth(), read_beacon(Path(bench.beacon_file)), seed, others)

@@ -9,6 +9,7 @@ import pytest
 
 from uvgs_bench.devices.cameras import CAMERAS, open_camera
 from uvgs_bench.devices.cameras.images import STEP_NS, natural_key, read_image
+from uvgs_bench.devices.cameras.source import ExposureControl
 from uvgs_bench.devices.cameras.uvc import UvcCamera
 from uvgs_bench.devices.clock import RealClock
 from uvgs_bench.errors import CaptureError, ConfigError
@@ -212,6 +213,72 @@ def test_live_camera_drops_frames_exposed_before_the_call() -> None:
         # Two old frames, one that may have begun before the call, then the one that did not.
         assert camera.grab().image[0, 0, 0] == 4
     assert device.is_released
+
+
+class ExposedDevice:
+    """A driver that knows exposure in steps of 100 us, no finer than 200 us, and a gain that nobody may touch."""
+
+    def __init__(self, obeys: bool = True) -> None:
+        self.values = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0, cv2.CAP_PROP_EXPOSURE: 157.0, cv2.CAP_PROP_GAIN: 11.0}
+        self._obeys = obeys
+
+    def get(self, name: int) -> float:
+        return self.values.get(name, 0.0)
+
+    def set(self, name: int, value: float) -> bool:
+        if self._obeys:
+            self.values[name] = max(value, 2.0) if name == cv2.CAP_PROP_EXPOSURE else value
+        return self._obeys
+
+    def release(self) -> None:
+        pass
+
+
+def test_the_exposure_of_a_live_camera_is_set_and_read_back() -> None:
+    device = ExposedDevice()
+    camera = UvcCamera("uvc:0", device, RealClock())
+    assert isinstance(camera, ExposureControl)
+    assert camera.exposure_s == pytest.approx(0.0157)
+    assert camera.set_exposure_s(0.00318) == pytest.approx(0.0032)
+    assert camera.set_exposure_s(1e-9) == pytest.approx(2e-4)
+    assert camera.set_exposure_s(9.0) == pytest.approx(camera.exposure_limits_s[1])
+    assert device.values[cv2.CAP_PROP_AUTO_EXPOSURE] == 1.0
+    assert device.values[cv2.CAP_PROP_GAIN] == 11.0
+    camera.close()
+    with pytest.raises(CaptureError, match="closed"):
+        camera.set_exposure_s(0.001)
+
+
+def test_a_live_camera_that_keeps_its_exposure_says_so() -> None:
+    with pytest.raises(CaptureError, match="cannot be taken from its own automatic"):
+        UvcCamera("uvc:0", ExposedDevice(obeys=False), RealClock()).set_exposure_s(0.001)
+    silent = ExposedDevice()
+    silent.values[cv2.CAP_PROP_EXPOSURE] = 0.0
+    with pytest.raises(CaptureError, match="does not say"):
+        _ = UvcCamera("uvc:0", silent, RealClock()).exposure_s
+
+
+def test_exposures_of_the_simulated_camera_change_the_pictures_and_recordings_have_none(folder: Path) -> None:
+    with open_camera(f"sim:{EXAMPLE_BENCH}?count=2") as camera:
+        assert isinstance(camera, ExposureControl)
+        first = camera.grab()
+        assert camera.set_exposure_s(0.5 * camera.exposure_s) == camera.exposure_s
+        second = camera.grab()
+        assert camera.set_exposure_s(9.0) == camera.exposure_limits_s[1]
+    assert first is not None
+    assert second is not None
+    assert (first.exposure_s, second.exposure_s) == (0.004, 0.002)
+    assert int(second.image.max()) < 0.7 * int(first.image.max())
+    assert not isinstance(open_camera(f"images:{folder}"), ExposureControl)
+
+
+def test_companions_ride_beside_the_beacon(tmp_path: Path) -> None:
+    beacon = EXAMPLE_BENCH.parent / "beacons" / "tetra_small.toml"
+    alone, accompanied = (open_camera(f"sim:{EXAMPLE_BENCH}?count=1{more}") for more in ("", f"&with={beacon}"))
+    bright = [int((camera.grab().image > 60).sum()) for camera in (alone, accompanied)]  # type: ignore[union-attr]
+    assert bright[1] == pytest.approx(2 * bright[0], rel=0.2)
+    with pytest.raises(ConfigError, match="nowhere"):
+        open_camera(f"sim:{EXAMPLE_BENCH}?with=nowhere.toml")
 
 
 def test_live_camera_that_stops_says_so() -> None:

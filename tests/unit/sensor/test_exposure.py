@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from uvgs_bench.geometry import Pose
+from uvgs_bench.sensor import Capture, PoseEstimate
 from uvgs_bench.sensor.exposure import (
     ExposurePolicy,
     ExposureState,
     LightLevel,
     RangeForecast,
     advise_exposure,
+    clipped_leds,
 )
 from uvgs_bench.sensor.saturation import SaturationModel
 
@@ -89,3 +93,15 @@ def test_an_approach_is_met_before_it_clips():
 def test_impossible_policies_are_refused(bad):
     with pytest.raises(ValueError):
         ExposurePolicy(**bad)
+
+
+@pytest.mark.parametrize(("kind", "full"), [(np.uint8, 255), (np.uint16, 4095)])
+def test_leds_at_full_scale_are_counted(kind, full):
+    image = np.full((60, 80), 10, dtype=kind)
+    led_px = np.array([[10.0, 10.0], [30.2, 40.0], [79.0, 59.0], [np.nan, np.nan]])
+    image[40, 31], image[59, 78], image[10, 10] = full, full, full - 1
+    # Full scale, but no LED.
+    image[50, 10] = full
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]), "camera", "beacon")
+    estimate = PoseEstimate(pose, np.eye(6), 0, "b", led_px, np.zeros((4, 2)), 0.1, 9.0, 4)
+    assert clipped_leds(Capture(image, 0), estimate) == 2

@@ -58,7 +58,7 @@ def test_a_dropped_light_says_why():
     notes = di.blob_notes(blobs, uvgs)
     dropped = {note.dropped for note in notes if note.dropped}
     assert len(dropped) == 1
-    assert dropped.pop().startswith(("shape", "large"))
+    assert dropped.pop().startswith(("shape", "area"))
     assert sum(not note.dropped for note in notes) == 5
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 from uvgs_bench.sensor.capture import Capture
 
@@ -55,4 +55,33 @@ class CameraSource(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close."""
+        ...
+
+
+@runtime_checkable
+class ExposureControl(Protocol):
+    """What a camera has besides when its exposure can be set. Gain and everything else stay as they are.
+
+    Contract: ``set_exposure_s`` keeps to ``exposure_limits_s`` and answers with what the camera took, which is what
+    ``exposure_s`` reads back from then on; captures that do not state their own exposure may have been taken with the
+    old one for ``settling_captures`` more.
+    """
+
+    @property
+    def exposure_s(self) -> float:
+        """The exposure as the camera says it, s. Raises CaptureError when it does not say."""
+        ...
+
+    @property
+    def exposure_limits_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure, s."""
+        ...
+
+    @property
+    def settling_captures(self) -> int:
+        """How many captures after a change may still be taken with the old exposure and do not say so."""
+        ...
+
+    def set_exposure_s(self, exposure_s: float) -> float:
+        """Ask for an exposure, s; the answer is what the camera took. Raises CaptureError when it refuses."""
         ...

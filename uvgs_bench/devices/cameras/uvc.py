@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 _QUEUED_FRAMES = 5
 # A driver stamp further than this from now is on another clock and tells nothing about freshness.
 _PLAUSIBLE_NS = 10 * NS_PER_S
+# Video4Linux counts exposures in steps of 100 us, and calls the manual mode 1.
+_EXPOSURE_STEP_S = 1e-4
+_MANUAL = 1.0
+# The range is not told through OpenCV: one step, and what 30 frames per second leave.
+_EXPOSURE_LIMITS_S = (_EXPOSURE_STEP_S, 0.033)
+# Sensors take a new exposure over between frames, and one frame is on its way.
+_SETTLING_CAPTURES = 2
 
 
 class UvcCamera(ClosingSource):
@@ -97,6 +104,56 @@ class UvcCamera(ClosingSource):
         capture = Capture(np.ascontiguousarray(image), t_ns, self.spec, self._next)
         self._next += 1
         return capture
+
+    @property
+    def exposure_s(self) -> float:
+        """The exposure as the driver says it, s.
+
+        Raises:
+            CaptureError: The camera is closed or does not say.
+        """
+        import cv2
+
+        if self._device is None:
+            raise CaptureError("the camera is closed", self.spec)
+        steps = float(self._device.get(cv2.CAP_PROP_EXPOSURE))
+        if not steps > 0.0:
+            raise CaptureError("the camera does not say its exposure", self.spec)
+        return steps * _EXPOSURE_STEP_S
+
+    @property
+    def exposure_limits_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure asked for, s."""
+        return _EXPOSURE_LIMITS_S
+
+    @property
+    def settling_captures(self) -> int:
+        """How many captures after a change may still be taken with the old exposure."""
+        return _SETTLING_CAPTURES
+
+    def set_exposure_s(self, exposure_s: float) -> float:
+        """Switch the camera's own automatic exposure off and ask for an exposure; the gain is left alone.
+
+        Args:
+            exposure_s: Wanted exposure, s; rounded to steps of 0.1 ms.
+
+        Returns:
+            What the driver says it took, s.
+
+        Raises:
+            CaptureError: The camera is closed, keeps its own exposure, or does not say what it took.
+        """
+        import cv2
+
+        if self._device is None:
+            raise CaptureError("the camera is closed", self.spec)
+        shortest_s, longest_s = _EXPOSURE_LIMITS_S
+        steps = round(min(max(exposure_s, shortest_s), longest_s) / _EXPOSURE_STEP_S)
+        for name, value in ((cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL), (cv2.CAP_PROP_EXPOSURE, float(steps))):
+            if not self._device.set(name, value):
+                what = "be set" if name == cv2.CAP_PROP_EXPOSURE else "be taken from its own automatic"
+                raise CaptureError(f"the exposure of this camera cannot {what}", self.spec)
+        return self.exposure_s
 
     def _advance(self) -> None:
         if not self._device.grab():

@@ -60,6 +60,7 @@ class SimulatedBench:
         self.clock = ScaledClock(speed)
         self.true_beacon = displaced_beacon(truth, beacon)
         self.true_lens = true_lens(truth)
+        self.companions: tuple[tuple[Pose, Beacon], ...] = ()
         self._true_axes = true_axes(truth, axes)
         is_carried = mount == "beacon_on_carriage"
         self._outer = truth.camera_from_gantry.pose("camera", "gantry" if is_carried else "carriage")

@@ -30,6 +30,7 @@ _SCENE_OF_FILE = ("uvgs_bench.store.bench", "read_passing_beacon")
 # A spot that moves less than this between two instants leaves a smooth trail.
 _TRAIL_STEP_PX = 0.3
 _MAX_INSTANTS = 64
+_EXPOSURE_LIMITS_S = (1e-5, 0.1)
 
 
 class Scene(Protocol):
@@ -46,6 +47,11 @@ class Scene(Protocol):
     @property
     def true_beacon(self) -> Beacon:
         """The beacon with its LEDs where they truly are."""
+        ...
+
+    @property
+    def companions(self) -> Sequence[tuple[Pose, Beacon]]:
+        """Other beacons fixed to this one: beacon_from_companion, and the companion as its file says."""
         ...
 
     def true_camera_from_beacon(self, t_ns: int) -> Pose:
@@ -82,9 +88,10 @@ class SimulatedCamera(ClosingSource):
 
     @classmethod
     def open(cls, spec: CameraSpec, _clock: Clock) -> SimulatedCamera:
-        """Open ``sim:NAME`` of a live bench, or ``sim:bench.toml`` with the options ``count`` and ``seed``.
+        """Open ``sim:NAME`` of a live bench, or ``sim:bench.toml`` with the options ``count``, ``seed`` and ``with``.
 
-        The file's bench stands still; its beacon passes before the camera on a smooth seeded path.
+        The file's bench stands still; its beacon passes before the camera on a smooth seeded path. ``with`` names
+        files of further beacons, separated by commas, that ride beside it.
 
         Raises:
             CaptureError: No bench of this name is live and there is no such file.
@@ -98,14 +105,17 @@ class SimulatedCamera(ClosingSource):
         if not spec.target or not path.is_file():
             there = ", ".join(live_benches()) or "none"
             raise CaptureError(f"no simulated bench of this name is running ({there}) and no such file", spec.text)
-        spec.check_options(("count", "seed"))
+        spec.check_options(("count", "seed", "with"))
+        companions = tuple(Path(name) for name in spec.options.get("with", "").split(",") if name)
         numbers: dict[str, int] = {}
         for name, value in spec.options.items():
+            if name == "with":
+                continue
             if not value.isdigit():
                 raise ConfigError(f"expected {name} as a number, got '{value}'", spec.text)
             numbers[name] = int(value)
         module, function = _SCENE_OF_FILE
-        scene: Scene = getattr(import_module(module), function)(path, numbers.get("seed"))
+        scene: Scene = getattr(import_module(module), function)(path, numbers.get("seed"), companions)
         return cls(scene, spec.text, None, count=numbers.get("count"))
 
     def grab(self) -> Capture | None:
@@ -139,11 +149,32 @@ class SimulatedCamera(ClosingSource):
         """
         rng = self._renderer.generator(index)
         instants_ns = self._instants(begin_ns)
-        emitters = [*self._leds(instants_ns, rng), *self._lights(instants_ns)]
+        is_lit = not self._scene.truth.switched_light or index % 2 == 0
+        emitters = [*(self._leds(instants_ns, rng) if is_lit else ()), *self._lights(instants_ns)]
         image = self._renderer.expose(emitters, self._glints(rng), self._exposure_s, rng)
         mid_ns = begin_ns + ns_from_s(0.5 * self._exposure_s)
         stamp_ns = mid_ns + ns_from_s(s_from_ms(self._scene.truth.camera.delay_ms))
         return Capture(image, stamp_ns, f"{self.spec}#{index}", index, self._exposure_s)
+
+    @property
+    def exposure_s(self) -> float:
+        """The exposure of the next capture, s."""
+        return self._exposure_s
+
+    @property
+    def exposure_limits_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure, s."""
+        return _EXPOSURE_LIMITS_S
+
+    @property
+    def settling_captures(self) -> int:
+        """None: every capture states its own exposure."""
+        return 0
+
+    def set_exposure_s(self, exposure_s: float) -> float:
+        """Expose the next capture so long, s, within the limits; the answer is what it will be."""
+        self._exposure_s = min(max(exposure_s, _EXPOSURE_LIMITS_S[0]), _EXPOSURE_LIMITS_S[1])
+        return self._exposure_s
 
     def close(self) -> None:
         """Stop taking captures. Safe to call twice."""
@@ -163,8 +194,14 @@ class SimulatedCamera(ClosingSource):
         return [begin_ns + (2 * k + 1) * exposure_ns // (2 * count) for k in range(count)]
 
     def _leds(self, instants_ns: Sequence[int], rng: np.random.Generator) -> list[Emitter]:
-        truth, beacon = self._scene.truth, self._scene.true_beacon
         poses = [self._scene.true_camera_from_beacon(t_ns) for t_ns in instants_ns]
+        emitters = self._leds_of(self._scene.true_beacon, poses, rng)
+        for beacon_from_companion, companion in self._scene.companions:
+            emitters += self._leds_of(companion, [pose @ beacon_from_companion for pose in poses], rng)
+        return emitters
+
+    def _leds_of(self, beacon: Beacon, poses: Sequence[Pose], rng: np.random.Generator) -> list[Emitter]:
+        truth = self._scene.truth
         hidden = rng.random(len(beacon.leds)) < truth.occlusion.probability
         emitters = []
         for led, is_hidden in zip(beacon.leds, hidden, strict=True):

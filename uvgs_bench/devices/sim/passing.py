@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from uvgs_bench.beacon.geometry import Beacon
@@ -16,6 +18,8 @@ from uvgs_bench.units import rad_from_deg, s_from_ns
 _DISTANCE_M = (0.9, 0.25)
 _PICTURE_SHARE = 0.6
 _ANGLE_DEG = 12.0
+# How far beside the beacon the first companion rides, m.
+_BESIDE_M = 0.22
 # Slowest and fastest swing, Hz; a swing of 0.1 Hz moves an LED by some px between captures.
 _SWING_HZ = (0.03, 0.11)
 
@@ -27,16 +31,22 @@ class PassingBeacon:
         truth: What is true; gantry and carriage stand still at machine zero.
         beacon: The beacon as its file says.
         seed: Seed of path and noise in place of the truth's.
+        companions: Further beacons that ride beside it, to its right and left in turn.
 
     Raises:
         ConfigError: The truth does not fit the beacon, or its lens is impossible.
     """
 
-    def __init__(self, truth: SimulatedTruth, beacon: Beacon, seed: int | None = None) -> None:
+    def __init__(
+        self, truth: SimulatedTruth, beacon: Beacon, seed: int | None = None, companions: Sequence[Beacon] = ()
+    ) -> None:
         self.truth = truth
         self.seed = truth.seed if seed is None else seed
         self.true_lens: Lens = true_lens(truth)
         self.true_beacon: Beacon = displaced_beacon(truth, beacon)
+        self.companions: tuple[tuple[Pose, Beacon], ...] = tuple(
+            (_beside(k), companion) for k, companion in enumerate(companions)
+        )
         rng = np.random.default_rng((self.seed, 4))
         self._rate = 2.0 * np.pi * rng.uniform(*_SWING_HZ, 6)
         self._phase = rng.uniform(0.0, 2.0 * np.pi, 6)
@@ -56,3 +66,8 @@ class PassingBeacon:
         if frame == "camera":
             return Pose.identity("camera", "camera")
         return self.truth.camera_from_gantry.pose("camera", frame)
+
+
+def _beside(number: int) -> Pose:
+    side = 1.0 if number % 2 == 0 else -1.0
+    return Pose(np.eye(3), np.array([side * _BESIDE_M * (1 + number // 2), 0.0, 0.0]), "beacon", "beacon")

@@ -189,6 +189,8 @@ class SimulatedTruth:
         lights: Other steady lights.
         glints: Reflections.
         occlusion: Hidden LEDs.
+        switched_light: Whether the beacon is lit in every other capture only, the first one lit, as a retroreflector
+            beside a switched lamp is.
     """
 
     seed: int = 1
@@ -201,3 +203,4 @@ class SimulatedTruth:
     lights: tuple[TrueLight, ...] = ()
     glints: Glints = field(default_factory=Glints)
     occlusion: Occlusion = field(default_factory=Occlusion)
+    switched_light: bool = False
