@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from uvgs_bench.cli.benchmark_calibration import calibration
 from uvgs_bench.cli.benchmark_centroids import centroids
 from uvgs_bench.cli.benchmark_detection import detection
 from uvgs_bench.cli.benchmark_labels import labels
@@ -18,6 +19,7 @@ app.command("solvers")(solvers)
 app.command("labels")(labels)
 app.command("detection")(detection)
 app.command("centroids")(centroids)
+app.command("calibration")(calibration)
 
 
 @app.callback()
