@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import serial
 
-from uvgs_bench.devices.clock import ScaledClock
+from uvgs_bench.devices.clock import ScaledClock, SteppedClock
 from uvgs_bench.devices.gantry import Axis, Envelope
 from uvgs_bench.devices.gantry.grbl import GrblGantry
 from uvgs_bench.devices.sim import bench as sim_bench
@@ -53,11 +53,10 @@ class MockGantry:
         device: GrblDevice | None = None,
         envelope: Envelope | None = None,
         homing_timeout_s: float = 120.0,
-        speed: float = SPEED,
     ) -> None:
         self.envelope = envelope or Envelope(linear_axes())
         self.device = device or GrblDevice.for_axes(self.envelope.axes)
-        self.clock = ScaledClock(speed)
+        self.clock = SteppedClock()
         self.spy = Spy()
         monkeypatch.setitem(sim_bench._live, "mock", SimpleNamespace(clock=self.clock, device=self.device))
         self.gantry = GrblGantry.open(

@@ -142,8 +142,7 @@ def test_any_interruption_leaves_a_gantry_that_stops_and_knows_where_it_is(monke
                 self.has_fired = True
                 raise KeyboardInterrupt
 
-    # Slow enough that a busy machine still looks eight times while the carriage moves.
-    mock = MockGantry(monkeypatch, speed=20.0)
+    mock = MockGantry(monkeypatch)
     mock.gantry.home()
     broken_off = 0
     for after in range(1, 9):

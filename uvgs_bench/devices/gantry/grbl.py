@@ -33,6 +33,9 @@ _LATE_S = 5.0
 _SETTLED_ELSEWHERE_S = 0.5
 _REPLY_GRACE_S = 0.2
 _STOP_S = 10.0
+# Beside the path by this much, mm or deg, something is wrong; less is seen at the end anyway.
+_ASTRAY = 0.1
+_READINGS = 4
 _NEVER = -1
 _BARRIER = "G4P0.01"
 
@@ -158,7 +161,10 @@ class GrblGantry:
         self._homed_epoch = _NEVER
         self._is_homing = self._may_move = True
         try:
-            self._link.command("$H", self._homing_timeout_s)
+            answers = self._link.command("$H", self._homing_timeout_s)
+            if not all(protocol.may_follow_homing(answer) for answer in answers):
+                self._link.reset()
+                raise GantryError("the answer to $H is not that of a homing cycle; home again", self.port)
         except GantryTimeout:
             self._link.reset()
             self._is_homing = self._may_move = False
@@ -218,7 +224,7 @@ class GrblGantry:
             self._link.command(line, _REPLY_S)
             if style == "line":
                 self._link.command(_BARRIER, plan.duration_s + _LATE_S)
-            state = self._await_arrival(target, begun_ns, plan.duration_s)
+            state = self._await_arrival(start.position, target, begun_ns, plan.duration_s)
         except GantryTimeout:
             self._brake()
             raise
@@ -288,16 +294,33 @@ class GrblGantry:
 
     def _start(self) -> None:
         self._link.start()
-        answers = self._link.command("$I", _REPLY_S)
-        identity = {answer.name: answer.text for answer in answers if isinstance(answer, protocol.Message)}
-        answers = self._link.command("$$", _REPLY_S)
-        settings = {answer.number: answer.value for answer in answers if isinstance(answer, protocol.Setting)}
+        identity, settings = self._read_twice()
         dialect = self._link.dialect = find_dialect(identity)
         self._info = ControllerInfo(
             dialect.name, identity.get("VER", "").rstrip(":"), identity.get("OPT", ""), settings
         )
         self._settings = read_settings(settings, self.axes, self.port)
         self._ask_state()
+
+    def _read_twice(self) -> tuple[dict[str, str], dict[str, str]]:
+        """Identity and settings, once the same was heard twice in a row: nothing on the line proves a digit whole.
+
+        Returns:
+            Bracketed answers to ``$I`` by name, and settings by number.
+
+        Raises:
+            GantryError: They never agree.
+        """
+        before: tuple[dict[str, str], dict[str, str]] | None = None
+        for _ in range(_READINGS):
+            answers = self._link.command("$I", _REPLY_S)
+            identity = {answer.name: answer.text for answer in answers if isinstance(answer, protocol.Message)}
+            answers = self._link.command("$$", _REPLY_S)
+            settings = {answer.number: answer.value for answer in answers if isinstance(answer, protocol.Setting)}
+            if (identity, settings) == before:
+                return before
+            before = identity, settings
+        raise GantryError("the controller's settings read differently each time: the line is bad", self.port)
 
     # --- reports and motion ----------------------------------------------------------------------------------------
 
@@ -325,16 +348,30 @@ class GrblGantry:
         off = np.abs(protocol.controller_from_si(self.axes, read_only(position - target)))
         return bool(np.all(off <= 0.5 / self._settings.steps + 1.5 * protocol.REPORT_STEP))
 
-    def _await_arrival(self, target: FloatArray, begun_ns: int, duration_s: float) -> GantryState:
-        """Watch until Idle at the target. One Idle is not enough: the controller may not have begun to move."""
+    def _await_arrival(self, start: FloatArray, target: FloatArray, begun_ns: int, duration_s: float) -> GantryState:
+        """Watch until Idle at the target. One Idle is not enough: the controller may not have begun to move.
+
+        A line has no checksum, so a damaged one may be another move: who leaves the path is stopped. One report off the
+        path may itself be damaged, or torn; two in a row are believed.
+        """
         expected_ns = begun_ns + ns_from_s(duration_s + _MARGIN_S)
         deadline_ns = expected_ns + ns_from_s(0.5 * duration_s + _LATE_S)
         idle_since_ns: int | None = None
+        strays = 0
         while True:
             early_s = s_from_ns(expected_ns - self._clock.now_ns())
-            # Watch seldom on the way, closely just after the expected time, then as often as the controller likes.
-            self._link.listen(min(_WATCH_S, early_s) if early_s > 0.0 else min(_POLL_S, _MARGIN_S - early_s))
+            if strays == 0:
+                # Watch seldom on the way, closely just after the expected time, then as often as the controller likes.
+                self._link.listen(min(_WATCH_S, early_s) if early_s > 0.0 else min(_POLL_S, _MARGIN_S - early_s))
             state = self._ask_state()
+            strays = strays + 1 if self._is_astray(state.position, start, target) else 0
+            if strays == 2:
+                self._brake()
+                raise GantryError(
+                    f"left its path from {self._described(start)} to {self._described(target)}: it was seen at "
+                    f"{self._described(state.position)} and told to stop",
+                    self.port,
+                )
             if state.activity == "Idle":
                 if self._is_at(state.position, target):
                     return state
@@ -350,6 +387,12 @@ class GrblGantry:
                 raise GantryError(f"the move was broken off: the controller is in state {state.activity}", self.port)
             if state.t_ns > deadline_ns:
                 raise GantryTimeout(f"not arrived {_LATE_S:g} s after the expected time", self.port)
+
+    def _is_astray(self, position: FloatArray, start: FloatArray, target: FloatArray) -> bool:
+        """Whether a position is beside the straight way, by more than steps and rounding explain."""
+        p, q = (protocol.controller_from_si(self.axes, read_only(x - start)) for x in (position, target))
+        share = min(1.0, max(0.0, float(p @ q) / float(q @ q)))
+        return bool(np.any(np.abs(p - share * q) > 2.0 / self._settings.steps + _ASTRAY))
 
     def _come_to_rest(self) -> GantryState:
         deadline_ns = self._clock.now_ns() + ns_from_s(_STOP_S)

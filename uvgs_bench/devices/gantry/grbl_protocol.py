@@ -128,6 +128,15 @@ def read_received(line: str) -> Received:
     return Unknown(line)
 
 
+def may_follow_homing(received: Received) -> bool:
+    """Whether something can come during a homing cycle.
+
+    ``$H`` with one bit turned over is ``$X``: the lock is released, a message says so, an ``ok`` follows, the controller
+    is idle, and its position is wherever it was switched on.
+    """
+    return not isinstance(received, Unknown) and not (isinstance(received, Message) and "nlock" in received.text)
+
+
 def _read_report(text: str) -> Report | Unknown:
     state, *rest = text[1:-1].split("|")
     activity, _, substate = state.partition(":")
