@@ -56,6 +56,19 @@ class FaultRun:
     attempts: int
 
 
+class _Log:
+    """Everything on the wire, kept and put into the run as soon as there is one."""
+
+    def __init__(self) -> None:
+        self.events: list[tuple[str, str]] = []
+        self.writer: RunWriter | None = None
+
+    def __call__(self, t_ns: int, direction: str, text: str) -> None:
+        self.events.append((direction, text))
+        if self.writer is not None:
+            self.writer.wire(t_ns, direction, text)
+
+
 class _TruthSensor:
     """Sees the carriage where the motors are."""
 
@@ -122,37 +135,29 @@ def fault_run(seed: int, folder: Path, kinds: tuple[str, ...] = KINDS, strength:
     )  # fmt: skip
     first, reason, kept = "", "", {}
     clock = SteppedClock()
-    writer: RunWriter | None = None
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sim_bench._live, "faulty", SimpleNamespace(clock=clock, device=device))
         patch.setattr(run_module, "_read_setup", lambda folder: (None, None))
         patch.setattr(os, "fsync", lambda _file: None)  # of a power failure other tests speak
         for attempt in itertools.count(1):
             spec = spec_with(rng, kinds, strength) if attempt < ATTEMPTS else "grbl:sim://faulty"
-            events: list[tuple[str, str]] = []
-
-            def log(t_ns: int, direction: str, text: str, events: list[tuple[str, str]] = events) -> None:
-                events.append((direction, text))
-                if writer is not None:
-                    writer.wire(t_ns, direction, text)
-
+            log = _Log()
             ended = "done"
             try:
                 with open_gantry(spec, envelope, clock=clock, log=log) as gantry:
                     rig = Rig(gantry, FakeCamera(clock), _TruthSensor(device), clock)  # type: ignore[arg-type]
                     if path.exists():
                         run = read_run(path)
-                        writer = RunWriter.reopen(run, clock.now_ns())
+                        log.writer = writer = RunWriter.reopen(run, clock.now_ns())
                         resume_sweep(run, planned, rig, writer)
                     else:
-                        writer = RunWriter.create(path, manifest, {})
+                        log.writer = writer = RunWriter.create(path, manifest, {})
                         run_sweep(planned, rig, writer)
             except UvgsError as error:
                 ended, reason = ("resumed" if path.exists() else "refused"), reason or str(error)
-                assert str(error).strip()
             finally:
-                check_wire(events, envelope, np.full(3, -0.0125))
-                writer = None
+                check_wire(log.events, envelope, np.full(3, -0.0125))
+            assert ended == "done" or reason.strip()
             first = first or ended
             kept = _check_kept(path, kept, device)
             if ended == "done":

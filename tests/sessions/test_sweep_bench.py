@@ -237,19 +237,35 @@ def test_pictures_that_do_not_fit_the_calibration_are_refused_before_a_run_begin
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
-def test_killed_at_random_instants_the_stations_are_those_of_an_uninterrupted_run(
-    files: Path, tmp_path: Path, seed: int
-) -> None:
-    whole = read_run(sweep(set_up_of(files), tmp_path / "whole", keep="none", simulated_speed=SPEED).path)
+@pytest.fixture(scope="module")
+def whole(files: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A sweep that nothing interrupted."""
+    folder = tmp_path_factory.mktemp("whole")
+    return read_run(sweep(set_up_of(files), folder, keep="none", simulated_speed=SPEED).path)
+
+
+def killed_at_random(files: Path, out: Path, seed: int) -> Run:
+    """A sweep killed with signal 9 at a random instant, before the first sample too, and then resumed."""
     rng = np.random.default_rng(seed)
-    out = tmp_path / "killed"
     interrupted(files, out, signal.SIGKILL, samples=int(rng.integers(0, 15)), wait_s=float(rng.uniform(0.0, 0.2)))
     (path,) = out.iterdir()
     run = read_run(path)
-    resume(run, read_setup_of(run), simulated_speed=SPEED)
-    assert stations_of(read_run(path)) == stations_of(whole)
+    if not run.is_complete:
+        resume(run, read_setup_of(run), simulated_speed=SPEED)
+    return read_run(path)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_killed_at_random_the_stations_are_those_of_a_whole_run(
+    files: Path, tmp_path: Path, whole: Run, seed: int
+) -> None:
+    assert stations_of(killed_at_random(files, tmp_path, seed)) == stations_of(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 102))
+def test_a_hundred_kills(files: Path, tmp_path: Path, whole: Run, seed: int) -> None:
+    assert stations_of(killed_at_random(files, tmp_path, seed)) == stations_of(whole)
 
 
 def test_a_dry_run_prints_the_plan_and_moves_nothing(files: Path, tmp_path: Path) -> None:
