@@ -40,8 +40,11 @@ def calibrate(
     beacon: Annotated[
         Path | None, typer.Option("--beacon", help="Beacon file: also say what the calibration does to its pose.")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Folder for report.html, report.pdf and report.json.")
+    ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace the camera file, and write one that is not usable, saying so.")
+        bool, typer.Option("--force", help="Replace files, and write a camera file that is not usable, saying so.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -49,7 +52,7 @@ def calibrate(
     """Calibrate a camera from pictures of a board.
 
     Exit code 0: usable, at least within a radius. 1: not usable. 3: too few pictures to tell. With 1 and 3 no camera
-    file is written unless --force is given; it then carries the verdict.
+    file is written unless --force is given; it then carries the verdict. A report asked for is written in any case.
     """
     from uvgs_bench.camera import LENSES
     from uvgs_bench.cli.console import console, emit_json, print_path, progress_sink
@@ -61,6 +64,10 @@ def calibrate(
     from uvgs_bench.store.documents import check_writable
 
     check_writable(out, force=force)
+    if report is not None:
+        from uvgs_bench.report import check_replaceable
+
+        check_replaceable(report, force=force)
     if model not in (*LENSES, AUTO_LENS):
         raise ConfigError(f"unknown lens model '{model}', expected one of {', '.join(LENSES)}", "--model")
     if glob:
@@ -89,12 +96,19 @@ def calibrate(
     is_written = verdict.is_usable or force
     if is_written:
         write_calibration(out, result.calibration, force=force)
+    files: dict[str, str] = {}
+    if report is not None:
+        from uvgs_bench.cli.calibration_report import print_reports, write_calibration_report
+
+        files = write_calibration_report(report, result.calibration, result, carried, source, force=force)
+        if not as_json:
+            print_reports(files)
     if as_json:
-        emit_json(_summary(result, out if is_written else None))
+        emit_json(_summary(result, out if is_written else None) | {"report": files or None})
     elif is_written:
         print_path("written", out)
     else:
-        console.print(f"nothing written: --force writes {out} with this verdict in it", markup=False)
+        console.print(f"no camera file written: --force writes {out} with this verdict in it", markup=False)
     if not verdict.is_usable:
         raise typer.Exit(ExitCode.INCONCLUSIVE if verdict.word == "inconclusive" else ExitCode.LIMITS_MISSED)
 

@@ -24,17 +24,35 @@ def camera() -> None:
 @app.command("show")
 def show(
     path: Annotated[Path, typer.Argument(help="Camera file (camera_info YAML, with or without uvgs:).")],
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Folder for report.html, report.pdf and report.json.")
+    ] = None,
+    beacon: Annotated[
+        Path | None, typer.Option("--beacon", help="Beacon file: the report also says what the lens does to its pose.")
+    ] = None,
+    force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Show a lens: numbers, doubt, field of view, provenance."""
+    """Show a lens: numbers, doubt, field of view, provenance; as a page with maps with --report."""
     from uvgs_bench.cli.console import emit_json
     from uvgs_bench.store.calibrations import read_calibration
 
+    if beacon is not None and report is None:
+        raise ConfigError("needs --report", "--beacon")
     calibration = read_calibration(path)
+    files: dict[str, str] = {}
+    if report is not None:
+        from uvgs_bench.cli.calibration_report import print_reports, write_calibration_report
+        from uvgs_bench.store.beacons import read_beacon
+
+        carried = None if beacon is None else read_beacon(beacon)
+        files = write_calibration_report(report, calibration, beacon=carried, force=force)
     if as_json:
-        emit_json(_summary(calibration))
+        emit_json(_summary(calibration) | {"report": files or None})
         return
     _print(calibration)
+    if files:
+        print_reports(files)
 
 
 @app.command("convert")

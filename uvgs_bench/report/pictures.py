@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from uvgs_bench.geometry import FloatArray
 
 _SIDE_IN = 2.6
+_WIDE_IN = 3.6
 _DPI = 110
 _BIGGEST_PX = 400
 _MOST_GAIN = 4.0
@@ -33,8 +34,18 @@ def read_picture(path: Path) -> NDArray[np.uint8] | None:
     except OSError:
         return None
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
-    if image is None:
-        return None
+    return None if image is None else shown_picture(image)
+
+
+def shown_picture(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """A capture for looking at.
+
+    Args:
+        image: Mono (H, W) or BGR (H, W, 3), uint8 or uint16.
+
+    Returns:
+        RGB, shape (H, W, 3), a dim picture up to four times brighter than it was.
+    """
     bright = image.astype(np.float64)
     if bright.ndim == 2:
         bright = np.repeat(bright[:, :, None], 3, axis=2)
@@ -82,6 +93,44 @@ def overlay_png(
             axes.annotate(name, (x, y), (7, 7), textcoords="offset points", color="white", fontsize=7, clip_on=True)
     axes.set_xlim(left - 0.5, right - 0.5)
     axes.set_ylim(bottom - 0.5, top - 0.5)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def residual_png(
+    image: NDArray[np.uint8], px: FloatArray, residuals_px: FloatArray, keep: NDArray[np.bool_], magnification: float
+) -> bytes:
+    """Draw a picture of a board with the residuals of its corners.
+
+    Args:
+        image: RGB, shape (H, W, 3).
+        px: Corners, shape (N, 2), px.
+        residuals_px: Observed minus projected, shape (N, 2), px.
+        keep: Which corners were kept, shape (N,); the others are drawn as crosses.
+        magnification: How many times longer than true residuals are drawn.
+
+    Returns:
+        PNG file; the same input gives the same bytes.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(_WIDE_IN, _WIDE_IN * height / width), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    step = max(1, width // (2 * _BIGGEST_PX))
+    # Half as bright, so that lines on white squares stand out.
+    axes.imshow(image[::step, ::step] // 2, extent=(-0.5, width - 0.5, height - 0.5, -0.5), aspect="auto")
+    ends = np.stack([px[keep], px[keep] + magnification * residuals_px[keep]], axis=1)
+    gaps = np.concatenate([ends, np.full((len(ends), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+    axes.plot(*gaps.T, "-", color="#f0c04d", lw=1.1)
+    axes.plot(*px[keep].T, ".", color="#56b4e9", ms=2.2)
+    axes.plot(*px[~keep].T, "x", color="#ff5a3c", ms=6, mew=1.5)
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()

@@ -34,6 +34,14 @@ STATISTIC_WORDS = {
 }
 
 
+CAMERA_CONVENTIONS = (
+    ("Camera frame", "Optical centre; x right, y down, z forward."),
+    ("Transforms", "target_from_source maps points of the source into the target: p_c = camera_from_beacon p_b."),
+    ("Pixels", "(0, 0) is the centre of the top-left pixel; residual = observed − projected."),
+)
+"""What every report about a camera must say."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scale:
     """How a quantity is shown.

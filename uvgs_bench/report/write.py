@@ -39,6 +39,29 @@ def check_formats(formats: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
+def check_replaceable(folder: Path, formats: Iterable[str] = tuple(FORMATS), *, force: bool = False) -> dict[str, Path]:
+    """Refuse to replace a report, before the work it describes begins.
+
+    Args:
+        folder: Where ``report.<format>`` will go.
+        formats: Names out of ``FORMATS``.
+        force: Whether existing files may be replaced.
+
+    Returns:
+        Format to file.
+
+    Raises:
+        ConfigError: Unknown format, the folder is a file, or a file exists that may not be replaced.
+    """
+    paths = {name: folder / f"report.{name}" for name in check_formats(formats)}
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError("is a file, expected a folder for the report", str(folder))
+    for path in paths.values():
+        if path.exists() and not force:
+            raise ConfigError("exists already; use --force to replace it", str(path))
+    return paths
+
+
 def write_document(
     document: Document, folder: Path, formats: Iterable[str] = tuple(FORMATS), *, force: bool = True
 ) -> dict[str, Path]:
@@ -57,10 +80,7 @@ def write_document(
         ConfigError: Unknown format, or a file exists that may not be replaced.
         UvgsError: Typesetting or writing failed.
     """
-    paths = {name: folder / f"report.{name}" for name in check_formats(formats)}
-    for path in paths.values():
-        if path.exists() and not force:
-            raise ConfigError("exists already; use --force to replace it", str(path))
+    paths = check_replaceable(folder, formats, force=force)
     for name, path in paths.items():
         write_atomically(path, FORMATS[name](document))
     return paths

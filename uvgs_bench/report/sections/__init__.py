@@ -21,4 +21,12 @@ SECTIONS: dict[str, str] = {
 }
 """Key -> builder, in reading order."""
 
-__all__ = ["SECTIONS"]
+CALIBRATION_SECTIONS: dict[str, str] = {
+    key: f"uvgs_bench.report.sections.calibration_{key}:build"
+    for key in (
+        "verdict", "pose", "coverage", "residuals", "uncertainty", "halves", "boards", "views", "lens", "definitions",
+    )
+}  # fmt: skip
+"""The same for calibrations: ``build(evidence) -> Section | None``."""
+
+__all__ = ["CALIBRATION_SECTIONS", "SECTIONS"]

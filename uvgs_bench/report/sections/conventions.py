@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.report.document import Definitions, Section
+from uvgs_bench.report.quantities import CAMERA_CONVENTIONS
 from uvgs_bench.store.run import Run
 
+_CAMERA_FRAME, _TRANSFORMS, _PIXELS = CAMERA_CONVENTIONS
 _ITEMS = (
-    ("Camera frame", "Optical centre; x right, y down, z forward."),
+    _CAMERA_FRAME,
     ("Beacon frame", "As in the beacon's file; see the beacon's section."),
     ("Gantry, carriage", "Machine zero with axes as declared; the carriage equals the gantry frame at position 0."),
-    ("Transforms", "target_from_source maps points of the source into the target: p_c = camera_from_beacon p_b."),
+    _TRANSFORMS,
     (
         "Tangent",
         "ξ = (ω, v), rotation first; updates on the left, T ← exp(ξ^) T; covariances in camera axes.",
@@ -19,7 +21,7 @@ _ITEMS = (
         "Rotation errors",
         "Rotation vectors, never differences of Euler angles. Euler angles: a view, Z-Y-X.",
     ),
-    ("Pixels", "(0, 0) is the centre of the top-left pixel; residual = observed − projected."),
+    _PIXELS,
     ("Units", "Millimetres and degrees on these pages, SI in the files of the run; time in ns of one monotonic clock."),
 )
 

@@ -1,0 +1,116 @@
+"""What a calibration does to the pose of a beacon."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uvgs_bench.beacon.geometry import Beacon
+from uvgs_bench.camera.calibration import Calibration
+from uvgs_bench.camera.pose_doubt import PoseDoubt, pose_doubt
+from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.report.calibration_evidence import CalibrationEvidence
+from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.document import Column, Figure, Paragraph, Section, Table
+from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.palette import MARKERS, SERIES
+from uvgs_bench.units import mm_from_m, mrad_from_rad
+
+_RANGES_M = (0.5, 1.0, 2.0, 4.0)
+_LED_NOISE_PX = 0.05
+_DRAWN = 25
+
+
+def build(evidence: CalibrationEvidence) -> Section | None:
+    """Deviations by range; a sentence where no beacon was given."""
+    calibration, beacon = evidence.calibration, evidence.beacon
+    if calibration.joint_covariance is None:
+        return None
+    title = "What it means for a pose"
+    if beacon is None:
+        text = "No beacon was named (--beacon FILE), so no pose was forecast; the maps below hold for any point."
+        return Section("pose", title, (Paragraph(text),))
+    text = (
+        f"Beacon {beacon.name} faces the camera on its axis. The part of the calibration is the same in every picture: "
+        f"averaging does not help, registering on the bench takes part of it out. The part of the LEDs ("
+        f"{_LED_NOISE_PX} px in each coordinate of each centre) is new in every picture."
+    )
+    return Section("pose", title, (Paragraph(text), _table(calibration, beacon), *_drawing(calibration, beacon)))
+
+
+def forecast(calibration: Calibration, beacon: Beacon, range_m: float) -> PoseDoubt | None:
+    """Deviations of the pose of a beacon on the optical axis that faces the camera.
+
+    Args:
+        calibration: With ``joint_covariance``.
+        beacon: The beacon.
+        range_m: Distance of its origin, m.
+
+    Returns:
+        Both parts; None when an LED lies outside the picture.
+    """
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, range_m]), "camera", "beacon")
+    px = calibration.lens.project(pose.apply(beacon.positions_m))
+    if not np.isfinite(px).all() or not calibration.lens.contains(px).all():
+        return None
+    return pose_doubt(calibration, beacon.positions_m, pose, _LED_NOISE_PX)
+
+
+def _table(calibration: Calibration, beacon: Beacon) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for range_m in _RANGES_M:
+        doubt = forecast(calibration, beacon, range_m)
+        for name, sigmas in (
+            ("calibration", None if doubt is None else doubt.calibration_sigmas),
+            ("LEDs", None if doubt is None else doubt.noise_sigmas),
+        ):
+            values: tuple[Cell, ...] = ("not whole in the picture", *("" for _ in range(4)))
+            if sigmas is not None:
+                place = tuple(Number(float(mm_from_m(s)), 3) for s in sigmas[3:])
+                turn = (Number(float(mrad_from_rad(sigmas[:2].max())), 3), Number(float(mrad_from_rad(sigmas[2])), 3))
+                values = (*place, *turn)
+            rows.append((f"{range_m:g} m, {name}", *values))
+            if sigmas is None:
+                break
+    columns = (
+        Column("Range and part"),
+        *(Column(axis, "mm", True) for axis in ("x", "y", "z")),
+        Column("Tilt, worse axis", "mrad", True),
+        Column("Roll", "mrad", True),
+    )
+    return Table("One standard deviation of the pose by range, camera axes.", columns, tuple(rows))
+
+
+def _drawing(calibration: Calibration, beacon: Beacon) -> tuple[Figure, ...]:
+    ranges = np.geomspace(_RANGES_M[0], _RANGES_M[-1], _DRAWN)
+    found = [forecast(calibration, beacon, float(r)) for r in ranges]
+    seen = np.array([doubt is not None for doubt in found])
+    if seen.sum() < 2:
+        return ()
+    ranges = ranges[seen]
+    parts: dict[str, FloatArray] = {}
+    for words, axes in (("lateral", (3, 4)), ("depth", (5,))):
+        for source in ("calibration", "LEDs"):
+            covariances = [d.by_calibration if source == "calibration" else d.by_noise for d in found if d is not None]
+            variances = np.array([np.diag(C)[list(axes)].max() for C in covariances])
+            parts[f"{words}, {source}"] = mm_from_m(np.sqrt(variances))
+    key = "pose-range"
+    last = ", ".join(f"{name} {values[-1]:.3g} mm" for name, values in parts.items())
+    alt = f"Deviation of the position of {beacon.name} from {ranges[0]:.2g} to {ranges[-1]:.2g} m; farthest: {last}."
+    with style(key):
+        figure = canvas()
+        axes_ = figure.add_subplot()
+        for (name, values), colour, marker, line in zip(
+            parts.items(), (SERIES[0], SERIES[0], SERIES[1], SERIES[1]),
+            (MARKERS[0], MARKERS[1], MARKERS[0], MARKERS[1]), ("-", "--", "-", "--"), strict=True,
+        ):  # fmt: skip
+            axes_.loglog(ranges, values, line, color=colour, marker=marker, ms=3.5, markevery=6, label=name)
+        axes_.set_xlabel("range (m)")
+        axes_.set_ylabel("1 sigma (mm)")
+        axes_.xaxis.set_major_formatter("{x:g}")
+        axes_.xaxis.set_minor_formatter("")
+        axes_.set_xticks(_RANGES_M)
+        axes_.yaxis.set_major_formatter("{x:g}")
+        legend_above(axes_, 2)
+        svg = svg_of(figure, key, alt)
+    numbers = (series("range", "m", ranges), *(series(name, "mm", values) for name, values in parts.items()))
+    return (Figure(key, svg, alt, "Position, 1 sigma, by range: lateral is the worse of x and y.", numbers),)
