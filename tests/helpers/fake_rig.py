@@ -92,6 +92,11 @@ class FakeGantry(_Closing):
         self.history.append("stop")
         return self.state()
 
+    def reset(self) -> GantryState:
+        self.history.append("reset")
+        self.is_homed = False
+        return self.state()
+
 
 class FakeCamera(_Closing):
     """Delivers pictures whose first two pixels hold nothing; ``age_s`` makes them old."""

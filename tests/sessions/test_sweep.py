@@ -14,6 +14,7 @@ import pytest
 
 from tests.helpers.fake_rig import FakeRig
 from uvgs_bench.errors import CaptureError, ConfigError, GantryAlarm, GantryLost, RunError
+from uvgs_bench.sessions import sweep
 from uvgs_bench.sessions.events import Event, Remark
 from uvgs_bench.sessions.resume import check_same_setup, resume_sweep
 from uvgs_bench.sessions.sweep import run_sweep
@@ -68,6 +69,8 @@ def test_a_whole_sweep_is_completed_and_says_what_it_took(fake: FakeRig) -> None
         (KeyboardInterrupt(), "interrupted", "stopped by the user"),
         (GantryAlarm("alarm 1: hard limit", "fake", 1), "failed", "fake: alarm 1: hard limit"),
         (GantryLost("the port vanished", "fake"), "failed", "fake: the port vanished"),
+        (CaptureError("the camera is gone", "fake"), "failed", "fake: the camera is gone"),
+        (RunError("the disk is full", "run"), "failed", "run: the disk is full"),
         (MemoryError(), "failed", "MemoryError"),
     ],
 )
@@ -80,7 +83,7 @@ def test_whatever_breaks_a_move_stops_the_motion_and_closes_the_run(
         run_sweep(fake.plan, fake.rig, fake.writer(), sink=events.append)
     assert fake.gantry.history[-2:] == ["move", "stop"]
     run = read_run(fake.path)
-    assert (run.ended, run.end_reason) == (ended, reason)
+    assert (run.ended, run.end_reason) == (ended, f"{reason}; the position is still known")
     assert run.committed_stations() == {0, 1, 2}
     assert any(isinstance(e, Remark) and f"--resume {fake.path}" in e.text for e in events)
 
@@ -104,20 +107,64 @@ def test_an_interrupt_that_is_lost_on_its_way_still_ends_the_sweep(fake: FakeRig
     assert signal.getsignal(number) is before
 
 
-def test_a_second_interrupt_does_not_cut_short_the_stopping(fake: FakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_interrupt_while_stopping_is_a_hard_stop_and_a_third_changes_nothing(
+    fake: FakeRig, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
     interrupt_at_move(fake, 1, KeyboardInterrupt())
-    stop = fake.gantry.stop
 
-    def impatient() -> object:
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
-        return stop()
+    def slow() -> None:
+        os.kill(os.getpid(), number)
+        time.sleep(5.0)
+        pytest.fail("the stop was not cut short")
 
-    monkeypatch.setattr(fake.gantry, "stop", impatient)
+    reset = fake.gantry.reset
+
+    def insisting() -> object:
+        os.kill(os.getpid(), number)
+        return reset()
+
+    monkeypatch.setattr(fake.gantry, "stop", slow)
+    monkeypatch.setattr(fake.gantry, "reset", insisting)
+    before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt):
         run_sweep(fake.plan, fake.rig, fake.writer())
-    assert fake.gantry.history[-1] == "stop"
-    assert read_run(fake.path).ended == "interrupted"
+    assert fake.gantry.history[-1] == "reset"
+    run = read_run(fake.path)
+    assert run.ended == "interrupted"
+    assert run.end_reason == "stopped by the user; stopped hard at the second interrupt, the position is lost"
+    assert run.committed_stations() == {0}
+    assert signal.getsignal(number) is before
+
+
+def test_what_is_known_of_the_position_is_said(fake: FakeRig) -> None:
+    def slip(move: int) -> None:
+        if move == 2:
+            fake.gantry.is_trusted = False
+            raise GantryAlarm("alarm 1: hard limit", "fake", 1)
+
+    fake.gantry.before_move = slip
+    with pytest.raises(GantryAlarm):
+        run_sweep(fake.plan, fake.rig, fake.writer())
+    assert read_run(fake.path).end_reason.endswith("; the position is lost")
+
+
+def test_ctrl_z_pauses_at_the_next_station(fake: FakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    paused: list[int] = []
+    monkeypatch.setattr(sweep, "pause", lambda: paused.append(fake.gantry.moves))
+    fake.gantry.before_move = lambda move: os.kill(os.getpid(), signal.SIGTSTP) if move == 2 else None
+    events: list[Event] = []
+    before = signal.getsignal(signal.SIGTSTP)
+    run_sweep(fake.plan, fake.rig, fake.writer(), sink=events.append)
+    # The third station is finished first.
+    assert paused == [3]
+    assert [e.text for e in events if isinstance(e, Remark)] == [
+        f"paused before station 3: go on with fg, or kill -CONT {os.getpid()}",
+        "going on",
+    ]
+    assert signal.getsignal(signal.SIGTSTP) is before
+    assert read_run(fake.path).is_complete
+    assert "# paused before station 3" in (fake.path / "gantry.log").read_text()
 
 
 def test_a_signal_that_is_ignored_stays_ignored(fake: FakeRig) -> None:

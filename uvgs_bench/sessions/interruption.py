@@ -1,11 +1,13 @@
-"""Ctrl-C, SIGTERM and SIGHUP during a session: none may be lost, and none may cut short the stopping it asked for.
+"""Ctrl-C, SIGTERM, SIGHUP and Ctrl-Z during a session: none may be lost.
 
-Python drops an interrupt that arrives while a destructor or a callback of compiled code runs. So each is also
-remembered, and a session asks before every move and every capture.
+The first three end it: once for a controlled stop, once more, while it stops, for a hard one. Ctrl-Z pauses it at the
+next station. Python drops an interrupt that arrives while a destructor or a callback of compiled code runs. So each is
+also remembered, and a session asks before every move and every capture.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -14,6 +16,8 @@ from types import FrameType
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _wanted = threading.Event()
+_pause_wanted = threading.Event()
+_may_cut_short = threading.Event()
 
 
 @contextmanager
@@ -34,12 +38,48 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ignore all three signals, so that a second Ctrl-C does not cut short what the first one asked for."""
+    """Ignore all three signals: a run that is being closed is closed whole."""
     if not _is_main_thread():
         yield
         return
-    with _handled_by(signal.SIG_IGN):
+    with _handled_by(_hush):
         yield
+
+
+@contextmanager
+def impatient() -> Iterator[None]:
+    """Within ``undisturbed``: one more signal raises ``KeyboardInterrupt`` and cuts a controlled stop short."""
+    _may_cut_short.set()
+    try:
+        yield
+    finally:
+        _may_cut_short.clear()
+
+
+@contextmanager
+def pausable() -> Iterator[None]:
+    """Let Ctrl-Z (SIGTSTP) be remembered until ``wants_pause`` is asked; it would freeze the middle of a move."""
+    if not _is_main_thread() or signal.getsignal(signal.SIGTSTP) is not signal.SIG_DFL:
+        yield
+        return
+    _pause_wanted.clear()
+    signal.signal(signal.SIGTSTP, lambda _number, _frame: _pause_wanted.set())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+
+
+def wants_pause() -> bool:
+    """Whether Ctrl-Z came since it was asked last."""
+    is_wanted = _pause_wanted.is_set()
+    _pause_wanted.clear()
+    return is_wanted
+
+
+def pause() -> None:
+    """Stop this process until it is told to go on: ``fg``, or ``kill -CONT``."""
+    os.kill(os.getpid(), signal.SIGSTOP)
 
 
 def check_interruption() -> None:
@@ -56,6 +96,12 @@ def check_interruption() -> None:
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     _wanted.set()
     raise KeyboardInterrupt
+
+
+def _hush(_number: int, _frame: FrameType | None) -> None:
+    if _may_cut_short.is_set():
+        _may_cut_short.clear()
+        raise KeyboardInterrupt
 
 
 def _is_main_thread() -> bool:

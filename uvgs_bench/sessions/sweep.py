@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +21,15 @@ from uvgs_bench.geometry.se3 import hat, mean_rotation
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
-from uvgs_bench.sessions.interruption import check_interruption, interruptible, undisturbed
+from uvgs_bench.sessions.interruption import (
+    check_interruption,
+    impatient,
+    interruptible,
+    pausable,
+    pause,
+    undisturbed,
+    wants_pause,
+)
 from uvgs_bench.sessions.planning import Plan, Station
 from uvgs_bench.store.run import RunWriter, Sample
 from uvgs_bench.units import ns_from_s, s_from_ns
@@ -82,8 +91,8 @@ class SweepResult:
 def run_sweep(plan: Plan, rig: Rig, writer: RunWriter, *, sink: EventSink = ignore_events) -> SweepResult:
     """Home, take every station of a plan, and close the run, whatever happens.
 
-    On Ctrl-C, SIGTERM or any failure the motion is stopped first, then the run is closed with the reason, then the
-    exception goes on.
+    On Ctrl-C, SIGTERM or any failure the motion is stopped first, then the run is closed with the reason and whether
+    the position is still known, then the exception goes on. Ctrl-Z pauses between two stations.
 
     Args:
         plan: The checked plan.
@@ -128,6 +137,8 @@ def take_stations(
     stations = [station for station in plan.stations if station.index not in skip]
     sink(StageStarted("sweep", len(plan.stations)))
     for done, station in enumerate(stations, start=1 + len(plan.stations) - len(stations)):
+        if wants_pause():
+            _pause(station, rig, writer, sink)
         samples = _take_station(plan, station, rig, writer)
         counts.update(sample.reason for sample in samples)
         solved = sum(sample.is_solved for sample in samples)
@@ -285,31 +296,46 @@ def closing_run(gantry: Gantry, writer: RunWriter, sink: EventSink) -> Iterator[
         writer: The run; left alone when it was closed inside the block.
         sink: Receives how to resume.
     """
-    with interruptible():
+    with interruptible(), pausable():
         try:
             yield
         except BaseException as error:
             with undisturbed():
                 is_wanted = isinstance(error, KeyboardInterrupt)
                 reason = "stopped by the user" if is_wanted else " ".join(str(error).split()) or type(error).__name__
-                doubt = _stop(gantry)
-                if doubt:
-                    sink(Remark("warning", doubt))
+                is_sure, position = _stop(gantry)
+                if not is_sure:
+                    sink(Remark("warning", position))
                 try:
-                    writer.close("interrupted" if is_wanted else "failed", f"{reason}; {doubt}" if doubt else reason)
+                    writer.close("interrupted" if is_wanted else "failed", f"{reason}; {position}")
                 except UvgsError as close_error:
                     sink(Remark("warning", str(close_error)))
                 sink(Remark("warning", f"run closed; resume with: uvgs gantry-sweep --resume {writer.path}"))
             raise
 
 
-def _stop(gantry: Gantry) -> str:
-    """Stop the motion; answers what could not be made sure of, or nothing."""
+def _stop(gantry: Gantry) -> tuple[bool, str]:
+    """Stop the motion, hard when a second signal comes meanwhile; whether it stands, and what is known of where."""
     try:
-        gantry.stop()
+        try:
+            with impatient():
+                state = gantry.stop()
+        except KeyboardInterrupt:
+            gantry.reset()
+            return True, "stopped hard at the second interrupt, the position is lost"
     except UvgsError as error:
-        return f"the gantry did not confirm that it stopped ({error})"
-    return ""
+        return False, f"the gantry did not confirm that it stopped ({error}), the position is lost"
+    return True, "the position is still known" if state.is_trusted else "the position is lost"
+
+
+def _pause(station: Station, rig: Rig, writer: RunWriter, sink: EventSink) -> None:
+    """Stand at rest before a station until told to go on; whatever the controller did meanwhile shows at the move."""
+    text = f"paused before station {station.index}"
+    sink(Remark("info", f"{text}: go on with fg, or kill -CONT {os.getpid()}"))
+    writer.wire(rig.clock.now_ns(), "#", text)
+    pause()
+    writer.wire(rig.clock.now_ns(), "#", "going on")
+    sink(Remark("info", "going on"))
 
 
 def mean_pose(outcomes: Sequence[Outcome]) -> tuple[FloatArray, FloatArray, FloatArray] | None:

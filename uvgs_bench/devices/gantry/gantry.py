@@ -105,6 +105,10 @@ class Gantry(Protocol):
         """Stop the motion now, controlled, so that the position stays known. Never raises for being at rest."""
         ...
 
+    def reset(self) -> GantryState:
+        """Stop hard: steps cease at once, and the position is lost. Raises GantryTimeout, GantryLost."""
+        ...
+
     def close(self) -> None:
         """Stop any motion and release the port. Safe to call twice."""
         ...

@@ -267,8 +267,16 @@ class GrblGantry:
         self._may_move = False
         return state
 
+    def reset(self) -> GantryState:
+        """Stop hard: steps cease at once, and the position is lost. Raises GantryTimeout, GantryLost."""
+        self._check_open()
+        self._homed_epoch = _NEVER
+        self._link.reset()
+        self._is_homing = self._may_move = False
+        return self._ask_state()
+
     def close(self) -> None:
-        """Stop any motion and release the port. Safe to call twice."""
+        """Stop any motion and release the port. Safe to call twice; an interruption meanwhile stops it hard."""
         if not self._is_open:
             return
         try:
@@ -276,6 +284,9 @@ class GrblGantry:
                 self.stop()
         except GantryError as error:
             self._wire.remark(f"while closing: {error}")
+        except BaseException:
+            self._wire.send_byte(protocol.RESET)
+            raise
         finally:
             self._is_open = False
             self._wire.close()

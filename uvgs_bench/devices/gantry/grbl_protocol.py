@@ -99,6 +99,9 @@ _WELCOME = re.compile(r"^(Grbl|GrblHAL|grblHAL) \S+ .*\[.*help\]", re.IGNORECASE
 _SETTING = re.compile(r"^\$(N?\d+)=(.*)$")
 _MESSAGE = re.compile(r"^\[([A-Z][A-Z0-9. ]*):?(.*)\]$")
 _NUMBERED = re.compile(r"^(error|ALARM):(\d+)$")
+_ACTIVITIES = frozenset(
+    {"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool", "ConfigAlarm"}
+)
 _POSITIONS = {"MPos": "machine", "WPos": "work", "WCO": "offset"}
 
 
@@ -131,8 +134,8 @@ def read_received(line: str) -> Received:
 def may_follow_homing(received: Received) -> bool:
     """Whether something can come during a homing cycle.
 
-    ``$H`` with one bit turned over is ``$X``: the lock is released, a message says so, an ``ok`` follows, the controller
-    is idle, and its position is wherever it was switched on.
+    ``$H`` with one bit turned over is ``$X``: the lock is released, a message says so, an ``ok`` follows, and the
+    controller is idle wherever it was switched on.
     """
     return not isinstance(received, Unknown) and not (isinstance(received, Message) and "nlock" in received.text)
 
@@ -140,6 +143,8 @@ def may_follow_homing(received: Received) -> bool:
 def _read_report(text: str) -> Report | Unknown:
     state, *rest = text[1:-1].split("|")
     activity, _, substate = state.partition(":")
+    if activity not in _ACTIVITIES:
+        return Unknown(text)
     positions: dict[str, FloatArray] = {}
     fields: dict[str, str] = {}
     for part in rest:
