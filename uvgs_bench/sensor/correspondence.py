@@ -19,7 +19,7 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import rotation_angle
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.labelings import Candidate, chance_fits, is_different, search
+from uvgs_bench.sensor.labelings import Search, chance_fits, search
 from uvgs_bench.sensor.led_table import LedTable
 from uvgs_bench.sensor.outcome import PoseEstimate
 
@@ -105,9 +105,9 @@ def match_leds(
     if config.correspondence == "paper":
         return _sort_as_paper(centroid_px, sigma_px, lens, leds, config)
     found = search(centroid_px, sigma_px, lens, leds, config, prior, looks)
-    if not found.candidates:
+    if not len(found):
         return NoMatch("no_labeling", f"no labeling of {len(centroid_px)} blobs fits the beacon")
-    best = found.candidates[0]
+    best = found.candidate(0)
     chance = chance_fits(best, found, leds, looks)
     if chance > config.max_chance_fits:
         return NoMatch(
@@ -115,12 +115,12 @@ def match_leds(
             f"{found.tried} poses of {len(centroid_px)} blobs were tried: {chance:.2f} fits as likely as this "
             f"(chi-square {best.chi2:.1f}) are expected by chance, at most {config.max_chance_fits:.2f}",
         )
-    return _decide(found.candidates, chance, config)
+    return _decide(found, chance, config)
 
 
-def _decide(candidates: list[Candidate], chance: float, config: UvgsConfig) -> LedMatch | NoMatch:
-    best = candidates[0]
-    rival = next((c for c in candidates[1:] if is_different(best.pose, c.pose)), None)
+def _decide(found: Search, chance: float, config: UvgsConfig) -> LedMatch | NoMatch:
+    best = found.candidate(0)
+    rival = found.rival()
     if rival is None:
         return LedMatch(best.blob_of_led, best.pose, inf, None, chance)
     dof = 2 * best.seen - 6
@@ -149,10 +149,11 @@ def _sort_as_paper(
         return NoMatch("degenerate", "three of the four points are nearly on a line, or two coincide")
     assignment = np.empty(4, dtype=np.int64)
     assignment[led_order] = blob_order
-    candidates = [c for c in search(px, sigma, lens, leds, config).candidates if (c.blob_of_led == assignment).all()]
-    if not candidates:
+    found = search(px, sigma, lens, leds, config)
+    same = np.flatnonzero((found.blob_of_led == assignment).all(axis=1))
+    if not len(same):
         return NoMatch("no_labeling", "the sorted labeling fits no pose in front of the camera")
-    return LedMatch(assignment, candidates[0].pose, inf, None)
+    return LedMatch(assignment, found.candidate(int(same[0])).pose, inf, None)
 
 
 def _sort_four(p: FloatArray) -> NDArray[np.int64] | None:

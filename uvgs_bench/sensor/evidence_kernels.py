@@ -102,3 +102,52 @@ def appearance_cost(
             square += step * (value - mean)
         total += square / (look_sigma[column] * look_sigma[column])
     return min(total, _MOST_APPEARANCE_COST)
+
+
+@compiled
+def look_of_a_stray(
+    R: FloatArray,
+    t: FloatArray,
+    leds: FloatArray,
+    axes: FloatArray,
+    assignment: NDArray[np.int64],
+    looks: FloatArray,
+    look_sigma: FloatArray,
+    exponent: float,
+    column: int,
+) -> float:
+    """How much likelier one look is when any one of the lights named is a stray than when all are LEDs.
+
+    Args:
+        R: Rotation camera_from_beacon, shape (3, 3).
+        t: Translation, shape (3,), m.
+        leds: LED positions, shape (n, 3), m.
+        axes: Emission axes, shape (n, 3).
+        assignment: Blob of each LED or -1, shape (n,).
+        looks: As for ``appearance_cost``.
+        look_sigma: As for ``appearance_cost``.
+        exponent: As for ``appearance_cost``.
+        column: Which look: 0 light, 1 width.
+
+    Returns:
+        Mean over the LEDs of the likelihood without one of them over that with all; 1 when a look is not known.
+    """
+    if look_sigma[column] <= 0.0:
+        return 1.0
+    only = np.zeros(2)
+    only[column] = look_sigma[column]
+    others = assignment.copy()
+    whole = appearance_cost(R, t, leds, axes, assignment, looks, only, exponent)
+    total = 0.0
+    count = 0
+    for led in range(leds.shape[0]):
+        blob = assignment[led]
+        if blob < 0:
+            continue
+        if not np.isfinite(looks[blob, column]):
+            return 1.0
+        others[led] = -1
+        total += np.exp(0.5 * (whole - appearance_cost(R, t, leds, axes, others, looks, only, exponent)))
+        others[led] = blob
+        count += 1
+    return float(total / count)

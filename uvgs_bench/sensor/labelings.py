@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from math import comb, exp, log, pi, sqrt
+from math import comb, cos, exp, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import rotation_angle
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.correspondence_kernels import KEPT, search_labelings
-from uvgs_bench.sensor.evidence_kernels import appearance_cost
+from uvgs_bench.sensor.evidence_kernels import look_of_a_stray
 from uvgs_bench.sensor.led_table import LedTable
 from uvgs_bench.sensor.outcome import PoseEstimate
+from uvgs_bench.sensor.search_four import search_four
 
 # Two poses nearer than this are one answer: no user acts differently on them.
 _SAME_TURN_RAD = 0.05
@@ -65,7 +66,13 @@ class Search:
     """What a search found.
 
     Args:
-        candidates: Best first.
+        cost: Minus twice the log likelihood of all evidence, but for a constant, least first, shape (k,).
+        chi2: The part from centroids, shape (k,).
+        cone_cost: The part from emission cones, shape (k,).
+        near_prior: Whether a prior speaks for it, shape (k,).
+        R: Rotations camera_from_beacon, shape (k, 3, 3).
+        t_m: Translations, shape (k, 3), m.
+        blob_of_led: Blob of each LED or -1, shape (k, n).
         tried: Number of poses tried.
         area_px2: With four LEDs the sum over these poses and blobs of the area within one unit of cost, over pi; with
             more that of one prediction.
@@ -73,11 +80,35 @@ class Search:
         blobs: Number of lights.
     """
 
-    candidates: list[Candidate]
+    cost: FloatArray
+    chi2: FloatArray
+    cone_cost: FloatArray
+    near_prior: NDArray[np.bool_]
+    R: FloatArray
+    t_m: FloatArray
+    blob_of_led: NDArray[np.int64]
     tried: int
     area_px2: float
     field_px2: float
     blobs: int
+
+    def __len__(self) -> int:
+        return len(self.cost)
+
+    def candidate(self, i: int) -> Candidate:
+        """Labeling number ``i``, best first."""
+        return Candidate(
+            float(self.cost[i]), float(self.chi2[i]), float(self.cone_cost[i]),
+            Pose(self.R[i], self.t_m[i], "camera", "beacon"), self.blob_of_led[i], bool(self.near_prior[i]),
+        )  # fmt: skip
+
+    def rival(self) -> Candidate | None:
+        """The best labeling with a truly different pose than the best."""
+        trace = (self.R * self.R[0]).sum(axis=(1, 2))
+        shift = np.linalg.norm(self.t_m - self.t_m[0], axis=1)
+        turned = trace < 1.0 + 2.0 * cos(_SAME_TURN_RAD)
+        different = np.flatnonzero(turned | (shift > _SAME_SHIFT * float(np.linalg.norm(self.t_m[0]))))
+        return self.candidate(int(different[0])) if len(different) else None
 
 
 def chance_fits(best: Candidate, found: Search, leds: LedTable, looks: FloatArray | None) -> float:
@@ -114,22 +145,13 @@ def _stray_odds(best: Candidate, leds: LedTable, looks: FloatArray) -> float:
     odds = 1.0
     R, t = best.pose.R.copy(), best.pose.t_m.copy()
     for column in range(2):
-        sigma = float(leds.look_sigma[column])
-        if sigma <= 0.0 or not np.isfinite(looks[best.blob_of_led, column]).all():
-            continue
-        only = np.zeros(2)
-        only[column] = sigma
-
-        def cost(of: NDArray[np.int64], only: FloatArray = only) -> float:
-            return appearance_cost(R, t, leds.positions_m, leds.axes, of, looks, only, leds.exponent)
-
-        whole = cost(best.blob_of_led)
-        without = [cost(np.where(np.arange(4) == k, -1, best.blob_of_led)) for k in range(4)]
-        gain = float(np.mean(np.exp(0.5 * (whole - np.array(without)))))
+        gain = look_of_a_stray(
+            R, t, leds.positions_m, leds.axes, best.blob_of_led, looks, leds.look_sigma, leds.exponent, column
+        )
         odds *= gain
-        if column == 0:
+        if column == 0 and gain != 1.0:
             # One light against the mean of three others. Strays may well be as wide as LEDs, so width has no such gain.
-            odds *= sqrt(2.0 * pi * 4.0 / 3.0) * sigma / log(_STRAY_FACTOR)
+            odds *= sqrt(2.0 * pi * 4.0 / 3.0) * float(leds.look_sigma[0]) / log(_STRAY_FACTOR)
     return odds
 
 
@@ -146,7 +168,11 @@ def search(
     rays = lens.unproject(px)
     seen = np.flatnonzero(np.isfinite(rays[:, 0]))
     if len(seen) < 4:
-        return Search([], 0, 0.0, 1.0, len(seen))
+        none = np.empty(0)
+        return Search(
+            none, none, none, none.astype(bool), np.empty((0, 3, 3)), np.empty((0, 3)),
+            np.empty((0, len(leds.positions_m)), dtype=np.int64), 0, 0.0, 1.0, len(seen),
+        )  # fmt: skip
     n = len(leds.positions_m)
     costs, chi2s, cones = np.empty((3, KEPT))
     Rs, ts = np.empty((KEPT, 3, 3)), np.empty((KEPT, 3))
@@ -154,26 +180,34 @@ def search(
     reach = max(lens.fx_px, lens.fy_px) * leds.longest_m / config.min_range_m
     at = np.ascontiguousarray(px[seen])
     known = np.full((len(seen), 2), np.nan) if looks is None else np.ascontiguousarray(looks[seen])
-    count, tried, area = search_labelings(
+    inputs = (
         lens.model_id, lens.kernel_parameters, np.ascontiguousarray(rays[seen]), at, np.ascontiguousarray(sigma[seen]),
-        known, leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose,
-        leds.triples, _blob_triples(at, n), reach, config.min_range_m, config.max_range_m,
-        costs, chi2s, cones, Rs, ts, assignments,
+        known, leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose, leds.triples,
     )  # fmt: skip
-    out = []
-    for i in range(count):
-        pose = Pose(Rs[i], ts[i], "camera", "beacon")
-        near, step2 = step_from(prior, pose)
-        cost = float(costs[i]) + min(step2, PRIOR_REACH2)
-        assignment = np.where(assignments[i] >= 0, seen[assignments[i]], -1)
-        out.append(Candidate(cost, float(chi2s[i]), float(cones[i]), pose, assignment, near))
-    out.sort(key=lambda c: c.cost)
+    limits = (reach, config.min_range_m, config.max_range_m)
+    outputs = (costs, chi2s, cones, Rs, ts, assignments)
+    if n == 4:
+        count, tried, area = search_four(*inputs, *limits, *outputs)
+    else:
+        count, tried, area = search_labelings(*inputs, _blob_triples(at, n), *limits, *outputs)
+    Rs, ts, cost = Rs[:count], ts[:count], costs[:count]
+    near = np.zeros(count, dtype=bool)
+    if prior is not None:
+        step2 = steps_from(prior, Rs, ts)
+        near = step2 < PRIOR_REACH2
+        cost = cost + np.minimum(step2, PRIOR_REACH2)
+    order = np.argsort(cost, kind="stable")
+    named = assignments[order]
+    named = np.where(named >= 0, seen[named], -1)
     # The lights lie in their bounding box, widened by as much as the outermost of m lights stay within a field.
     sides = (at.max(axis=0) - at.min(axis=0)) * (len(at) + 1.0) / (len(at) - 1.0)
     field_px2 = max(float(sides[0] * sides[1]), 1.0)
     if n > 4:
         area = _PREDICTED_AREA * float(np.mean(sigma[seen] ** 2))
-    return Search(out, tried, area, field_px2, len(seen))
+    return Search(
+        cost[order], chi2s[order], cones[order], near[order], Rs[order], ts[order], named, tried, area, field_px2,
+        len(seen),
+    )  # fmt: skip
 
 
 def _blob_triples(px: FloatArray, n: int) -> NDArray[np.int64]:
@@ -186,16 +220,31 @@ def _blob_triples(px: FloatArray, n: int) -> NDArray[np.int64]:
     return np.ascontiguousarray(triples[np.argsort(-area, kind="stable")])
 
 
-def step_from(prior: PoseEstimate | None, pose: Pose) -> tuple[bool, float]:
-    """Whether a pose is one step from a prior, and how many squared deviations away."""
-    if prior is None:
-        return False, 0.0
+def steps_from(prior: PoseEstimate, R: FloatArray, t_m: FloatArray) -> FloatArray:
+    """How many squared deviations of a step poses are away from a prior.
+
+    Args:
+        prior: The last pose.
+        R: Rotations camera_from_beacon, shape (k, 3, 3).
+        t_m: Translations, shape (k, 3), m.
+
+    Returns:
+        Shape (k,).
+    """
     last = prior.camera_from_beacon
     turn2 = float(np.mean(prior.rotation_sigma_rad**2)) + STEP_TURN_RAD**2
     range_m = float(np.linalg.norm(last.t_m))
     shift2 = float(np.mean(prior.position_sigma_m**2)) + (STEP_SHIFT * range_m) ** 2
-    step2 = rotation_angle(last.R.T @ pose.R) ** 2 / turn2 + float(np.sum((last.t_m - pose.t_m) ** 2)) / shift2
-    return step2 < PRIOR_REACH2, step2
+    # |R - S| is 2 sqrt(2) times the sine of half the angle between them: exact near zero.
+    half_sine = np.sqrt(((R - last.R) ** 2).sum(axis=(1, 2)) / 8.0)
+    angle = 2.0 * np.arcsin(np.minimum(half_sine, 1.0))
+    result: FloatArray = angle**2 / turn2 + ((t_m - last.t_m) ** 2).sum(axis=1) / shift2
+    return result
+
+
+def is_near(prior: PoseEstimate, pose: Pose) -> bool:
+    """Whether a pose is one step from a prior."""
+    return float(steps_from(prior, pose.R[None], pose.t_m[None])[0]) < PRIOR_REACH2
 
 
 def is_different(a: Pose, b: Pose) -> bool:

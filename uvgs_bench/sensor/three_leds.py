@@ -16,7 +16,7 @@ from uvgs_bench.geometry.se3 import se3_exp, se3_log
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.correspondence import LedMatch, NoMatch, match_leds
 from uvgs_bench.sensor.evidence_kernels import appearance_cost, is_lit
-from uvgs_bench.sensor.labelings import PRIOR_REACH2, STEP_SHIFT, STEP_TURN_RAD, is_different, step_from
+from uvgs_bench.sensor.labelings import PRIOR_REACH2, STEP_SHIFT, STEP_TURN_RAD, is_different, is_near
 from uvgs_bench.sensor.led_table import LedTable
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.sensor.solution import Solution
@@ -77,7 +77,7 @@ def match_with_prior(
         match = match_leds(centroid_px, sigma_px, lens, leds, config, prior, looks)
     if prior is None or config.correspondence == "paper":
         return match
-    if isinstance(match, LedMatch) and (not match.is_weak or step_from(prior, match.start)[0]):
+    if isinstance(match, LedMatch) and (not match.is_weak or is_near(prior, match.start)):
         return match
     three = match_three(centroid_px, sigma_px, lens, leds, config, prior, looks)
     if isinstance(three, NoMatch):
