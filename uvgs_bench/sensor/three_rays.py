@@ -12,6 +12,9 @@ from math import acos, cos, pi, sqrt
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
 
+# Rays of a larger cosine, some 5e-7 rad apart, are one ray: three of them put a triangle at any distance beyond.
+_COINCIDENT = 1.0 - 1e-13
+
 Plane = tuple[float, float, float]
 
 
@@ -115,6 +118,8 @@ def solve_distances(b0: float, b1: float, b2: float, a0: float, a1: float, a2: f
     Returns:
         Number of solutions, 0 to 4; all distances are positive.
     """
+    if not max(b0, b1, b2) < _COINCIDENT:
+        return 0
     # D1 = M12 a23 - M23 a12, D2 = M13 a23 - M23 a13: both vanish on the distances.
     a12 = a0 / a2
     a13 = a1 / a2
