@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.fitting import CalibrationResult
+from uvgs_bench.camera.verdict import doubt_factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +29,13 @@ class CalibrationEvidence:
     result: CalibrationResult | None = None
     beacon: Beacon | None = None
     pictures: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
+
+    @property
+    def too_small(self) -> float | None:
+        """How many times the deviations are too small by the evidence of two halves, at least 1; None when unknown."""
+        if self.result is None or self.result.split_half is None:
+            return None
+        return doubt_factor(self.result)
 
 
 def worst_views(result: CalibrationResult, count: int) -> tuple[int, ...]:

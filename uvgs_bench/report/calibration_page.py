@@ -7,6 +7,7 @@ from typing import Any
 
 from uvgs_bench import __version__
 from uvgs_bench.camera.calibration import Calibration, Verdict
+from uvgs_bench.camera.verdict import WARN_HALVES_RATIO
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence
 from uvgs_bench.report.cells import Interval, Number, State, decimals_for
 from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
@@ -85,6 +86,13 @@ def _banners(evidence: CalibrationEvidence) -> tuple[Alert, ...]:
             "calibrate again with --report."
         )
         banners.append(Alert("info", text))
+    factor = evidence.too_small
+    if factor is not None and factor > WARN_HALVES_RATIO:
+        text = (
+            f"Two halves of the pictures disagree {factor:.1f} times more than predicted. Verdict, interval and the rows"
+            " that say so count it; every other deviation on these pages is that much too small."
+        )
+        banners.append(Alert("warning", text))
     return tuple(banners)
 
 
@@ -95,10 +103,14 @@ def _key_figures(evidence: CalibrationEvidence) -> tuple[KeyFigure, ...]:
         note = "" if result is None else f"of {result.coverage.picture_radius_px:.0f} px to the farthest corner"
         figures.append(KeyFigure("Usable radius", Number(calibration.verdict.radius_px, 0, "px"), note=note))
     if calibration.sigmas is not None:
-        value, half = calibration.lens.fx_px, _NORMAL_95 * float(calibration.sigmas[0])
+        factor = evidence.too_small
+        value, half = calibration.lens.fx_px, _NORMAL_95 * float(calibration.sigmas[0]) * (factor or 1.0)
         decimals = decimals_for([half])
         interval = Interval(value - half, value + half, decimals, "px")
-        figures.append(KeyFigure("Focal length fx", Number(value, decimals, "px"), interval, "predicted, halves aside"))
+        note = "predicted; what halves say is not in the file" if result is None else "predicted; halves not compared"
+        if factor is not None:
+            note = f"predicted, times {factor:.2f} by the halves"
+        figures.append(KeyFigure("Focal length fx", Number(value, decimals, "px"), interval, note))
     if calibration.rms_px is not None:
         note = f"{calibration.corner_count} corners, {calibration.rejected_count} set aside"
         if result is not None:

@@ -90,7 +90,8 @@ def _tilts(result: CalibrationResult) -> Figure:
         turn = np.linspace(0.0, 2.0 * np.pi, 121)
         for ring in _RINGS_DEG:
             axes.plot(ring * np.cos(turn), ring * np.sin(turn), "-", color=FAINT, lw=0.8)
-            axes.annotate(f"{ring:g}°", (0.0, -ring), color=FAINT, fontsize=8, ha="center", va="bottom")
+            place_of_label = (-0.71 * ring, 0.71 * ring)
+            axes.annotate(f"{ring:g}°", place_of_label, color=FAINT, fontsize=8, ha="right", va="top")
         axes.plot(place[:, 0], place[:, 1], "o", color=BLUE, ms=5, alpha=0.85)
         reach = 1.1 * max(_RINGS_DEG[-1], float(angle.max()))
         axes.set_xlim(-reach, reach)

@@ -34,7 +34,7 @@ def build(evidence: CalibrationEvidence) -> Section | None:
         f"averaging does not help, registering on the bench takes part of it out. The part of the LEDs ("
         f"{_LED_NOISE_PX} px in each coordinate of each centre) is new in every picture."
     )
-    return Section("pose", title, (Paragraph(text), _table(calibration, beacon), *_drawing(calibration, beacon)))
+    return Section("pose", title, (Paragraph(text), _table(evidence, beacon), *_drawing(evidence, beacon)))
 
 
 def forecast(calibration: Calibration, beacon: Beacon, range_m: float) -> PoseDoubt | None:
@@ -55,32 +55,35 @@ def forecast(calibration: Calibration, beacon: Beacon, range_m: float) -> PoseDo
     return pose_doubt(calibration, beacon.positions_m, pose, _LED_NOISE_PX)
 
 
-def _table(calibration: Calibration, beacon: Beacon) -> Table:
+def _table(evidence: CalibrationEvidence, beacon: Beacon) -> Table:
     rows: list[tuple[Cell, ...]] = []
+    factor = evidence.too_small or 1.0
     for range_m in _RANGES_M:
-        doubt = forecast(calibration, beacon, range_m)
-        for name, sigmas in (
-            ("calibration", None if doubt is None else doubt.calibration_sigmas),
-            ("LEDs", None if doubt is None else doubt.noise_sigmas),
-        ):
-            values: tuple[Cell, ...] = ("not whole in the picture", *("" for _ in range(4)))
-            if sigmas is not None:
-                place = tuple(Number(float(mm_from_m(s)), 3) for s in sigmas[3:])
-                turn = (Number(float(mrad_from_rad(sigmas[:2].max())), 3), Number(float(mrad_from_rad(sigmas[2])), 3))
-                values = (*place, *turn)
-            rows.append((f"{range_m:g} m, {name}", *values))
-            if sigmas is None:
-                break
+        doubt = forecast(evidence.calibration, beacon, range_m)
+        if doubt is None:
+            rows.append((f"{range_m:g} m: an LED is outside the picture", *(Number(None, 3) for _ in range(5))))
+            continue
+        parts = [("calibration, predicted", doubt.calibration_sigmas), ("LEDs", doubt.noise_sigmas)]
+        if factor > 1.0:
+            parts.insert(1, (f"calibration, times {factor:.2f}", factor * doubt.calibration_sigmas))
+        for name, sigmas in parts:
+            place = (Number(float(mm_from_m(s)), 3) for s in sigmas[3:])
+            turn = (Number(float(mrad_from_rad(sigmas[:2].max())), 3), Number(float(mrad_from_rad(sigmas[2])), 3))
+            rows.append((f"{range_m:g} m, {name}", *place, *turn))
     columns = (
         Column("Range and part"),
         *(Column(axis, "mm", True) for axis in ("x", "y", "z")),
         Column("Tilt, worse axis", "mrad", True),
         Column("Roll", "mrad", True),
     )
-    return Table("One standard deviation of the pose by range, camera axes.", columns, tuple(rows))
+    caption = "One standard deviation of the pose by range, camera axes."
+    if factor > 1.0:
+        caption += f" Two halves of the pictures disagree {factor:.2f} times more than predicted: that row counts it."
+    return Table(caption, columns, tuple(rows))
 
 
-def _drawing(calibration: Calibration, beacon: Beacon) -> tuple[Figure, ...]:
+def _drawing(evidence: CalibrationEvidence, beacon: Beacon) -> tuple[Figure, ...]:
+    calibration, factor = evidence.calibration, evidence.too_small or 1.0
     ranges = np.geomspace(_RANGES_M[0], _RANGES_M[-1], _DRAWN)
     found = [forecast(calibration, beacon, float(r)) for r in ranges]
     seen = np.array([doubt is not None for doubt in found])
@@ -92,7 +95,8 @@ def _drawing(calibration: Calibration, beacon: Beacon) -> tuple[Figure, ...]:
         for source in ("calibration", "LEDs"):
             covariances = [d.by_calibration if source == "calibration" else d.by_noise for d in found if d is not None]
             variances = np.array([np.diag(C)[list(axes)].max() for C in covariances])
-            parts[f"{words}, {source}"] = mm_from_m(np.sqrt(variances))
+            times = factor if source == "calibration" else 1.0
+            parts[f"{words}, {source}"] = mm_from_m(times * np.sqrt(variances))
     key = "pose-range"
     last = ", ".join(f"{name} {values[-1]:.3g} mm" for name, values in parts.items())
     alt = f"Deviation of the position of {beacon.name} from {ranges[0]:.2g} to {ranges[-1]:.2g} m; farthest: {last}."
@@ -113,4 +117,7 @@ def _drawing(calibration: Calibration, beacon: Beacon) -> tuple[Figure, ...]:
         legend_above(axes_, 2)
         svg = svg_of(figure, key, alt)
     numbers = (series("range", "m", ranges), *(series(name, "mm", values) for name, values in parts.items()))
-    return (Figure(key, svg, alt, "Position, 1 sigma, by range: lateral is the worse of x and y.", numbers),)
+    caption = "Position, 1 sigma, by range: lateral is the worse of x and y."
+    if factor > 1.0:
+        caption += f" The calibration's part times {factor:.2f}, by the halves."
+    return (Figure(key, svg, alt, caption, numbers),)

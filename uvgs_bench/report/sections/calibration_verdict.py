@@ -37,10 +37,10 @@ def build(evidence: CalibrationEvidence) -> Section | None:
         blocks.append(Table(caption, columns, rules(result)))
     if verdict is not None:
         reasons: list[tuple[Cell, ...]] = [("because", reason) for reason in verdict.reasons]
-        reasons += [("photograph next", wish) for wish in verdict.next_pictures]
+        reasons += [("next", wish) for wish in verdict.next_pictures]
         if reasons:
             words = (Column("What"), Column("In words"))
-            blocks.append(Table("Why, and what would help most, the first first.", words, tuple(reasons)))
+            blocks.append(Table("Why, and what to photograph next: what helps most comes first.", words, tuple(reasons)))
     if result is not None and result.warnings:
         blocks.append(Alerts(tuple(Alert("warning", text) for text in result.warnings)))
     if not blocks:
