@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from math import inf
-
-import numpy as np
 
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.exposure import ExposurePolicy, ExposureState, advise_exposure
-from uvgs_bench.sensor.saturation import SaturationModel
+from uvgs_bench.sessions.light_ranges import range_limits, saturation_model
 from uvgs_bench.sessions.tune_measure import SceneLights
 from uvgs_bench.units import ms_from_s
-
-# Nothing in the captures tells it well while LEDs are larger than it; limits depend on it little there.
-_PSF_SIGMA_PX = 0.9
 
 
 def light_remarks(
@@ -65,28 +58,12 @@ def _ranges(
     lights: SceneLights, taken_s: float | None, calibration: Calibration, beacon: Beacon, config: UvgsConfig
 ) -> list[str]:
     assert lights.level is not None
-    diameters = [led.diameter_m for led in beacon.leds if led.diameter_m is not None]
-    if not diameters or not lights.level.height > 0.0:
-        return ["no warning of ranges: the beacon file names no LED diameter"]
-    lens = calibration.lens
     exposure_s = 1.0 if taken_s is None else taken_s
-    model = SaturationModel(
-        max(diameters),
-        float(np.sqrt(lens.fx_px * lens.fy_px)),
-        _PSF_SIGMA_PX,
-        lights.range_m,
-        exposure_s,
-        lights.level.height,
-        lights.level.background,
-    )
-    # Seen from the front two LEDs are as far apart as across the line of sight.
-    across = beacon.positions_m[:, :2]
-    apart = np.linalg.norm(across[:, None] - across[None], axis=2)
-    separation_m = float(apart[np.triu_indices(len(across), 1)].min())
-    rules = replace(config, min_contrast=max(config.min_contrast, 1e-3))
-    found = model.limits(exposure_s, config.min_range_m, config.max_range_m, max(separation_m, 1e-6), rules)
+    model = saturation_model(lights.level, lights.range_m, exposure_s, calibration, beacon)
+    if model is None:
+        return ["no warning of ranges: the beacon file names no LED diameter"]
     at = "at this exposure" if taken_s is None else f"at {ms_from_s(taken_s):.2f} ms"
-    lines = [f"{limit.detail} {at}" for limit in found if 0.0 < limit.range_m < inf]
+    lines = [f"{limit.detail} {at}" for limit in range_limits(model, exposure_s, beacon, config)]
     if lights.level.clipped_px2 > 0.0:
         lines = [f"{line} (from a clipped core: an estimate)" for line in lines]
     return lines
