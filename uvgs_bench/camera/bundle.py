@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,7 +224,8 @@ def adjust(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) ->
         if new_cost <= cost:
             gain = (cost - new_cost) / max(cost, 1e-300)
             bundle, cost, normal = candidate, new_cost, new
-            damping, growth = max(damping / 10.0, 1e-12), 2.0
+            # After a failure the next step is tried nearly as short: in a bent valley long ones fail time and again.
+            damping, growth = max(damping / (10.0 if growth == 2.0 else 3.0), 1e-12), 2.0
             # A nearly undamped step squares the distance to the minimum: this gain is about a hundred thousandth of a
             # deviation, the next step would be lost in rounding.
             quiet = quiet + 1 if gain < 1e-14 else 0
@@ -236,6 +238,36 @@ def adjust(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) ->
             if damping > 1e10:
                 return bundle
     return bundle
+
+
+def relative_decrement(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) -> float:
+    """How much lower, as a share of the cost, the cost would be after one more undamped step: 0 at a minimum.
+
+    Args:
+        bundle: Where the adjustment ended.
+        corners: What was seen.
+        prior: As in ``adjust``.
+
+    Returns:
+        The share; infinite where no step can be computed.
+    """
+    normal = _normal(bundle, corners)
+    weights = np.zeros(bundle.common.size) if prior is None else prior
+    cost = float(normal.cost_of_view.sum() + weights @ bundle.common**2)
+    common = normal.common.sum(axis=0) + np.diag(weights)
+    try:
+        eliminated = np.linalg.solve(normal.poses, normal.mixed)
+        own = np.linalg.solve(normal.poses, normal.gradient_poses[:, :, None])[:, :, 0]
+        S = common - (normal.mixed.swapaxes(1, 2) @ eliminated).sum(axis=0)
+        rhs = normal.gradient_common.sum(axis=0) - weights * bundle.common
+        rhs = rhs - np.einsum("vij,vi->j", eliminated, normal.gradient_poses)
+        scale = 1.0 / np.sqrt(np.diag(common))
+        scaled = scale * rhs
+        gain = float(scaled @ np.linalg.solve(scale[:, None] * S * scale, scaled))
+        gain += float(np.einsum("vi,vi->", normal.gradient_poses, own))
+    except np.linalg.LinAlgError:
+        return inf
+    return gain / max(cost, 1e-300) if np.isfinite(gain) else inf
 
 
 def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bundle:

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from uvgs_bench.camera.bundle import Bundle, Corners, adjust, refine_poses
+from uvgs_bench.camera.bundle import Bundle, Corners, adjust, refine_poses, relative_decrement
 from uvgs_bench.camera.lens import LENSES, Lens
 from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray
@@ -20,16 +20,23 @@ from uvgs_bench.geometry.se3 import nearest_rotation
 
 # Focal lengths in picture widths: fisheyes of 180 degrees to telephoto.
 _FOCAL_WIDTHS = (0.2, 0.28, 0.38, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.5)
-# The best starts are adjusted fully; the lowest minimum wins.
+# Lenses whose pictures need not be near those of a pinhole, on which the homographies rest.
+_WIDE = ("equidistant", "fov")
+# The best starts are adjusted fully until one convinces; else the lowest minimum wins.
 _FULL_STARTS = 3
+# Steps of the poses before focal lengths are ranked.
+_RANKING_STEPS = 5
 # The polynomials in tan(angle) end before 90 degrees.
 _WIDEST_RAD = 1.4
 # Typical residual of a start that has found the minimum.
 _CONVINCING_PX = 0.5
+# Share of the cost one more step may still gain at a minimum: a hundredth of a deviation for a thousand corners. Where
+# drawn corners fit exactly there is nothing left to share.
+_AT_REST, _EXACT_PX2 = 1e-7, 1e-16
 
 
 def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle:
-    """Adjust from the focal length of the homographies or, when that is not convincing, from several.
+    """Adjust from the focal length of the homographies or, for wide lenses and when not convincing, from several.
 
     Args:
         model: Key of ``LENSES``; ``rational_polynomial`` and ``thin_prism`` rather grow from ``plumb_bob``.
@@ -43,11 +50,13 @@ def start(model: str, corners: Corners, width_px: int, height_px: int) -> Bundle
     Raises:
         CalibrationError: No start sees the boards.
     """
+    if model in _WIDE:
+        return _from_many_focals(model, corners, width_px, height_px)
     try:
         focal_px = _focal_of_homographies(corners, width_px, height_px)
         lens = _plain_lens(model, focal_px, width_px, height_px)
         bundle = adjust(refine_poses(planar_poses(lens, corners), corners, iterations=2), corners)
-        if is_convincing(bundle, corners):
+        if is_convincing(bundle, corners) and is_at_rest(bundle, corners):
             return bundle
     except (CalibrationError, np.linalg.LinAlgError, ValueError):
         pass
@@ -95,6 +104,13 @@ def grown(model: str, corners: Corners, width_px: int, height_px: int) -> Iterat
         raise failed
 
 
+def is_at_rest(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) -> bool:
+    """Whether the adjustment ended at a minimum: one more step would gain nothing that matters."""
+    residual = bundle.residuals_px(corners)
+    is_exact = float((residual * residual).mean()) < _EXACT_PX2
+    return is_exact or relative_decrement(bundle, corners, prior) < _AT_REST
+
+
 def is_convincing(bundle: Bundle, corners: Corners) -> bool:
     """Whether the typical residual is that of a corner finder: a wrong minimum costs pixels, not tenths."""
     return float(np.median(np.linalg.norm(bundle.residuals_px(corners), axis=1))) < _CONVINCING_PX
@@ -119,7 +135,7 @@ def _from_many_focals(model: str, corners: Corners, width_px: int, height_px: in
     for i, focal in enumerate(_FOCAL_WIDTHS):
         lens = _plain_lens(model, focal * width_px, width_px, height_px)
         try:
-            bundle = refine_poses(planar_poses(lens, corners), corners, iterations=12)
+            bundle = refine_poses(planar_poses(lens, corners), corners, iterations=_RANKING_STEPS)
         except (CalibrationError, np.linalg.LinAlgError, ValueError):
             continue
         distance = np.linalg.norm(bundle.residuals_px(corners), axis=1)
@@ -132,6 +148,8 @@ def _from_many_focals(model: str, corners: Corners, width_px: int, height_px: in
             adjusted = adjust(bundle, corners)
         except CalibrationError:
             continue
+        if is_convincing(adjusted, corners) and is_at_rest(adjusted, corners):
+            return adjusted
         cost = float((adjusted.residuals_px(corners) ** 2).sum())
         if cost < 0.999999 * best_cost:
             best, best_cost = adjusted, cost

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uvgs_bench.camera.boards import BoardMiss, BoardView
 from uvgs_bench.camera.bundle import SHAPE_NAMES, Bundle, Corners, adjust
-from uvgs_bench.camera.bundle_start import grown, is_convincing, start
+from uvgs_bench.camera.bundle_start import grown, is_at_rest, is_convincing, start
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.cross_validation import MIN_VIEWS, HeldOut, SplitHalf, held_out, split_half
 from uvgs_bench.camera.lens import LENSES
@@ -69,6 +69,7 @@ class Fit:
         keep: Which corners were kept, shape (N,).
         prior: Weights that drew the parameters to zero, as in ``adjust``, or None.
         doubt: Covariances.
+        is_at_rest: Whether the adjustment ended at a minimum; where not, all the rest describes no minimum.
     """
 
     bundle: Bundle
@@ -77,6 +78,7 @@ class Fit:
     keep: NDArray[np.bool_]
     prior: FloatArray | None
     doubt: Doubt
+    is_at_rest: bool
 
     @property
     def kept(self) -> Corners:
@@ -111,6 +113,7 @@ class CalibrationResult:
         board_shape: Shape of the printed board by ``SHAPE_NAMES`` with deviations, shape (2, 3), when it was free.
         views: The views themselves, in the order of ``view_names``.
         lens_trials: The lenses that were compared before this one was chosen, added by whoever compared them.
+        is_at_rest: As in ``Fit``.
     """
 
     calibration: Calibration
@@ -134,6 +137,7 @@ class CalibrationResult:
     board_shape: FloatArray | None
     views: tuple[BoardView, ...]
     lens_trials: tuple[LensTrial, ...] = ()
+    is_at_rest: bool = True
 
 
 def fit(views: Sequence[BoardView], model: str, *, reject_outliers: bool = True, is_board_free: bool = False) -> Fit:
@@ -181,8 +185,9 @@ def fit(views: Sequence[BoardView], model: str, *, reject_outliers: bool = True,
     normals = bundle.R_cb[:, :, 2]
     if float(np.linalg.norm(np.cross(normals, normals[0]), axis=1).max()) < _PARALLEL_RAD:
         raise TooFewViews(f"all {len(views)} views show the board in the same attitude: tilt it in several directions")
-    doubt = doubt_of(bundle, corners.kept(keep), prior, is_noise_equal=not reject_outliers)
-    return Fit(bundle, whole, corners, keep, prior, doubt)
+    kept = corners.kept(keep)
+    doubt = doubt_of(bundle, kept, prior, is_noise_equal=not reject_outliers)
+    return Fit(bundle, whole, corners, keep, prior, doubt, is_at_rest(bundle, kept, prior))
 
 
 def calibrate(
@@ -250,6 +255,7 @@ def calibrate(
         covered,
         shape,
         tuple(views),
+        is_at_rest=fitted.is_at_rest,
     )
     result = replace(result, warnings=_warnings(result))
     return replace(result, calibration=replace(calibration, verdict=judge_calibration(result)))

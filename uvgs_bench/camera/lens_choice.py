@@ -80,6 +80,9 @@ def choose_lens(views: Sequence[BoardView], models: Sequence[str] = tuple(LENSES
         except CalibrationError as error:
             failed = error
             continue
+        if not fitted.is_at_rest:
+            failed = CalibrationError(f"the adjustment of a {model} lens did not come to rest")
+            continue
         unseen = held_out(fitted.bundle, fitted.kept, fitted.prior)
         if unseen is None:
             raise TooFewViews(f"{len(views)} views are too few to compare lenses on unseen pictures")

@@ -133,6 +133,11 @@ def _refusals(result: CalibrationResult) -> list[str]:
     assert calibration.sigmas is not None
     assert calibration.rms_px is not None
     said = []
+    if not result.is_at_rest:
+        said.append(
+            f"the adjustment did not come to rest: a {calibration.lens.model} lens does not reach as far as these "
+            "boards were seen, or the pictures do not determine it; none of the numbers is a minimum"
+        )
     if structure.systematic_px > LIMIT_PX:
         said.append(
             f"the {calibration.lens.model} lens does not describe this camera: neighbouring residuals share "
