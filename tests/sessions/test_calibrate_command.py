@@ -198,7 +198,7 @@ def test_what_is_not_usable_is_not_written_unless_forced_and_then_says_so(pictur
     said = capsys.readouterr()
     assert "INCONCLUSIVE" in said.out
     assert "5 views are too few" in said.out
-    assert "nothing written" in said.err
+    assert "no camera file written" in said.err
     assert not out.exists()
     assert run("calibrate", source, "--board", BOARD, "--out", out, "--force", "--json") == 3
     summary = json.loads(capsys.readouterr().out)
@@ -242,3 +242,31 @@ def test_what_the_calibration_does_to_a_beacon_is_said_by_range(pictures, tmp_pa
     assert "facing the camera, 1σ" in printed
     assert "2 m calibration x" in printed
     assert "LED noise 0.05 px x" in printed
+
+
+def test_a_report_is_written_when_asked_for_and_shows_the_worst_pictures(pictures, tmp_path, capsys):
+    folder, out = tmp_path / "page", tmp_path / "camera.yaml"
+    asked = ["calibrate", f"images:{pictures}", "--board", BOARD, "--out", out, "--report", folder]
+    assert run(*asked, "--json") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert sorted(summary["report"]) == ["html", "json", "pdf"]
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    data = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    shown = {figure["label"]: figure["number"]["value"] for figure in data["key_figures"]}
+    assert shown["Residual, RMS of lengths"] == summary["rms_px"]
+    galleries = [b for s in data["sections"] for b in s["blocks"] if b["kind"] == "gallery"]
+    assert len(galleries[0]["pictures"]) == 6
+    # Nothing is computed when a report would be replaced.
+    out.unlink()
+    assert run(*asked) == 2
+    assert "report.html" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_what_is_not_usable_gets_its_report_but_no_camera_file(pictures, tmp_path, capsys):
+    folder, out = tmp_path / "page", tmp_path / "camera.yaml"
+    source = f"images:{pictures}?glob=view[0-4].png"
+    assert run("calibrate", source, "--board", BOARD, "--out", out, "--report", folder) == 3
+    assert not out.exists()
+    assert json.loads((folder / "report.json").read_text(encoding="utf-8"))["verdict"]["state"] == "inconclusive"
+    assert str(folder / "report.html") in capsys.readouterr().out.replace("\n", "")

@@ -189,3 +189,20 @@ def test_check_with_too_few_views_is_inconclusive(photographs, tmp_path, capsys)
     source = f"images:{folder}?glob=view_0[01].png"
     assert run("camera", "check", path, source, "--board", BOARD) == 3
     assert "need 3" in capsys.readouterr().err
+
+
+def test_show_makes_a_page_of_a_camera_file_alone(navcam, tmp_path, capsys):
+    beacon = BOARD.parents[1] / "beacons" / "tetra_small.toml"
+    assert run("camera", "show", navcam, "--beacon", beacon) == 2
+    assert "--report" in capsys.readouterr().err
+    page = tmp_path / "page"
+    assert run("camera", "show", navcam, "--beacon", beacon, "--report", page, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["report"]["html"] == str(page / "report.html")
+    data = json.loads((page / "report.json").read_text(encoding="utf-8"))
+    assert data["verdict"]["state"] == "none"
+    # Without the joint covariance nothing is known about projections and poses.
+    assert [s["key"] for s in data["sections"]] == ["lens", "definitions"]
+    assert run("camera", "show", navcam, "--report", page) == 2
+    assert "--force" in capsys.readouterr().err
+    assert run("camera", "show", navcam, "--report", navcam) == 2
+    assert "expected a folder" in capsys.readouterr().err

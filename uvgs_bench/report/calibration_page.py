@@ -89,8 +89,8 @@ def _banners(evidence: CalibrationEvidence) -> tuple[Alert, ...]:
     factor = evidence.too_small
     if factor is not None and factor > WARN_HALVES_RATIO:
         text = (
-            f"Two halves of the pictures disagree {factor:.1f} times more than predicted. Verdict, interval and the rows"
-            " that say so count it; every other deviation on these pages is that much too small."
+            f"Two halves of the pictures disagree {factor:.1f} times more than predicted. Verdict, interval and rows "
+            "that say so count it; every other deviation on these pages is that much too small."
         )
         banners.append(Alert("warning", text))
     return tuple(banners)

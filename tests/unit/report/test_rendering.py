@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import json
 import re
 from collections import Counter
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pypdf import PdfReader
 
+from tests.helpers.rendered import Page, check_same_tables, missing_in_pdf, pdf_text, squeezed
 from tests.helpers.synthetic_run import (
     HOSTILE,
     LIMIT_VERDICTS,
@@ -28,51 +27,6 @@ from uvgs_bench.report.json_export import render_json
 from uvgs_bench.report.pdf import render_pdf
 
 pytestmark = pytest.mark.opencv
-
-
-class Page(HTMLParser):
-    """What a reader of the page gets: tables as text, identifiers, links, images, element names."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tables: list[list[list[str]]] = []
-        self.ids: list[str] = []
-        self.links: list[str] = []
-        self.tags: Counter[str] = Counter()
-        self.svgs: list[dict[str, str | None]] = []
-        self.images: list[dict[str, str | None]] = []
-        self.captions = 0
-        self._cell: list[str] | None = None
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        self.tags[tag] += 1
-        if found.get("id"):
-            self.ids.append(str(found["id"]))
-        if found.get("href"):
-            self.links.append(str(found["href"]))
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr":
-            self.tables[-1].append([])
-        elif tag in ("td", "th"):
-            self._cell = []
-        elif tag == "svg":
-            self.svgs.append(found)
-        elif tag == "img":
-            self.images.append(found)
-        elif tag == "caption":
-            self.captions += 1
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in ("td", "th") and self._cell is not None:
-            self.tables[-1][-1].append(" ".join("".join(self._cell).split()))
-            self._cell = None
-
-    def handle_data(self, data: str) -> None:
-        if self._cell is not None:
-            self._cell.append(f" {data} ")
 
 
 @pytest.fixture(scope="module")
@@ -103,62 +57,12 @@ def data(document: Document) -> dict[str, Any]:
     return loaded
 
 
-def tables_of(data: dict[str, Any]) -> list[dict[str, Any]]:
-    return [block for section in data["sections"] for block in section["blocks"] if block["kind"] == "table"]
-
-
-def as_shown(cell: dict[str, Any], unit_in_heading: str) -> str:
-    """The words of a table cell on the page, from the exported values alone."""
-    if cell["kind"] == "measured":
-        unit = "" if unit_in_heading else cell["number"]["unit"]
-        return " ".join(f"{cell['number']['shown']} {unit} {cell['interval']['shown']}".split())
-    unit = "" if unit_in_heading or cell["shown"] == "–" else cell.get("unit", "")
-    return " ".join(f"{cell['shown']} {unit}".split())
-
-
-@functools.cache
-def pdf_text(pdf: bytes) -> str:
-    pages = PdfReader(io.BytesIO(pdf)).pages
-    return "".join("".join(page.extract_text().split()) for page in pages)
-
-
-def squeezed(text: str) -> str:
-    return "".join(text.split())
-
-
 def test_every_table_cell_is_the_same_on_the_page_as_in_json(page: str, data: dict[str, Any]) -> None:
-    shown = Page(page).tables
-    exported = tables_of(data)
-    assert len(shown) == len(exported) > 10
-    for table, expected in zip(shown, exported, strict=True):
-        rows = [
-            [
-                cell["shown"] if i == 0 else as_shown(cell, column["unit"])
-                for i, (cell, column) in enumerate(zip(row, expected["columns"], strict=True))
-            ]
-            for row in expected["rows"]
-        ]
-        assert table[1:] == [[" ".join(cell.split()) for cell in row] for row in rows], expected["caption"]
+    assert check_same_tables(page, data) > 10
 
 
 def test_every_number_of_json_stands_in_the_pdf(pdf: bytes, data: dict[str, Any]) -> None:
-    text = pdf_text(pdf)
-    missing = [
-        (table["caption"], cell["shown"])
-        for table in tables_of(data)
-        for row in table["rows"]
-        for cell in row
-        if cell["kind"] != "measured" and squeezed(cell["shown"]) not in text
-    ]
-    for figure in data["key_figures"]:
-        if squeezed(figure["number"]["shown"] + figure["number"]["unit"]) not in text:
-            missing.append(("key figure", figure["label"]))
-    for table in tables_of(data):
-        for cell in (cell for row in table["rows"] for cell in row if cell["kind"] == "measured"):
-            for part in (cell["number"]["shown"], cell["interval"]["shown"]):
-                if squeezed(part) not in text:
-                    missing.append((table["caption"], part))
-    assert missing == []
+    assert missing_in_pdf(pdf, data) == []
 
 
 def test_the_verdict_is_the_same_in_all_three(page: str, pdf: bytes, data: dict[str, Any]) -> None:

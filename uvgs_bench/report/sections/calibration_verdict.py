@@ -40,7 +40,7 @@ def build(evidence: CalibrationEvidence) -> Section | None:
         reasons += [("next", wish) for wish in verdict.next_pictures]
         if reasons:
             words = (Column("What"), Column("In words"))
-            blocks.append(Table("Why, and what to photograph next: what helps most comes first.", words, tuple(reasons)))
+            blocks.append(Table("Why, and what to photograph next, what helps most first.", words, tuple(reasons)))
     if result is not None and result.warnings:
         blocks.append(Alerts(tuple(Alert("warning", text) for text in result.warnings)))
     if not blocks:
