@@ -24,6 +24,7 @@ from uvgs_bench.devices.clock import SteppedClock
 from uvgs_bench.devices.gantry import Envelope, open_gantry
 from uvgs_bench.devices.sim import bench as sim_bench
 from uvgs_bench.devices.sim.grbl_device import GrblDevice
+from uvgs_bench.devices.sim.grbl_uvgs import UvgsDevice
 from uvgs_bench.errors import UvgsError
 from uvgs_bench.geometry import Pose
 from uvgs_bench.sensor.capture import Capture
@@ -45,6 +46,7 @@ BOX = np.array([[-0.03, -0.03, -0.05], [-0.025, -0.025, 0.0]])
 AT_M = 2.5e-6
 ATTEMPTS = 4
 _MOVE = re.compile(r"^(?:\$J=G21G90G53|G21G90G53G1)X(-?[\d.]+)Y(-?[\d.]+)Z(-?[\d.]+)F([\d.]+)$")
+_SEAL = re.compile(r"^N\d+ |\*[0-9A-F]{2}$")
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def check_wire(events: list[tuple[str, str]], envelope: Envelope, start: np.ndar
         if direction == ">!":
             assert text in ("0x18", "0x3F", "0x85", "0x21"), text
         elif direction == ">":
+            text = _SEAL.sub("", text)
             if text in ("$I", "$$", "$#", "$H", "G4P0.01"):
                 continue
             move = _MOVE.match(text)
@@ -126,7 +129,7 @@ def fault_run(seed: int, folder: Path, kinds: tuple[str, ...] = KINDS, strength:
         planned = plan(Procedure("faulty", line, 0.05, settle_s=0.05, captures_per_station=2), envelope)
     except UvgsError as error:
         return FaultRun("refused", str(error), 0)
-    device = GrblDevice.for_axes(AXES, boot_s=0.05)
+    device = (UvgsDevice if rng.random() < 0.25 else GrblDevice).for_axes(AXES, boot_s=0.05)
     path = folder / f"run-{seed}"
     manifest = RunManifest(
         id=path.name, created_utc="2026-01-01T00:00:00.000Z", procedure_name="faulty", mount="beacon_on_carriage",

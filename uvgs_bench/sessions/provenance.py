@@ -24,6 +24,7 @@ def program_versions() -> dict[str, str]:
 
 
 def controller_facts(info: ControllerInfo) -> dict[str, str]:
-    """Firmware, version, options, and every setting by its number (``$130``) as text."""
+    """Firmware, version, options, every setting by its number (``$130``), every stored offset by its name, as text."""
     settings = {f"${number}": value for number, value in info.settings.items()}
-    return {"firmware": info.firmware, "version": info.version, "options": info.options, **settings}
+    facts = {"firmware": info.firmware, "version": info.version, "options": info.options}
+    return facts | settings | info.parameters

@@ -181,6 +181,6 @@ def test_settings_that_read_differently_are_read_again_and_then_refused(monkeypa
     monkeypatch.setattr(serial, "serial_for_url", lambda *_args, **_options: TablePort(answer))
     gantry = open_gantry("grbl:table", Envelope(linear_axes()), clock=SteppedClock(), log=Spy())
     assert gantry.info.settings["100"] == "400.000"
-    values = iter([b"1", b"2", b"3", b"4"])
+    values = iter([b"1", b"2", b"3", b"4", b"5"])
     with pytest.raises(GantryError, match="read differently each time"):
         open_gantry("grbl:table", Envelope(linear_axes()), clock=SteppedClock(), log=Spy())

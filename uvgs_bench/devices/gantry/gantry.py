@@ -42,12 +42,23 @@ class GantryState:
 
 @dataclass(frozen=True, slots=True)
 class ControllerInfo:
-    """Who answered: firmware name, version and settings as read at connection."""
+    """Who answered, as read at connection.
+
+    Args:
+        firmware: Name of the firmware.
+        version: Its version.
+        options: How it was built.
+        settings: Numbered settings, as text.
+        parameters: Stored offsets and positions by name (``G54``, ``G28``), as text.
+        warnings: What is unwise about the settings, one line each.
+    """
 
     firmware: str
     version: str
     options: str
     settings: dict[str, str]
+    parameters: dict[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 class Gantry(Protocol):

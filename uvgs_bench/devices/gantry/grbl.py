@@ -17,9 +17,9 @@ from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
 from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, WireLog
-from uvgs_bench.devices.gantry.grbl_codes import find_dialect
+from uvgs_bench.devices.gantry.grbl_identity import identify
 from uvgs_bench.devices.gantry.grbl_link import GrblLink
-from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings, read_settings
+from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
 from uvgs_bench.errors import GantryError, GantryLost, GantryRefused, GantryTimeout
 from uvgs_bench.geometry import FloatArray, read_only
@@ -35,7 +35,6 @@ _REPLY_GRACE_S = 0.2
 _STOP_S = 10.0
 # Beside the path by this much, mm or deg, something is wrong; less is seen at the end anyway.
 _ASTRAY = 0.1
-_READINGS = 4
 _NEVER = -1
 _BARRIER = "G4P0.01"
 
@@ -305,33 +304,8 @@ class GrblGantry:
 
     def _start(self) -> None:
         self._link.start()
-        identity, settings = self._read_twice()
-        dialect = self._link.dialect = find_dialect(identity)
-        self._info = ControllerInfo(
-            dialect.name, identity.get("VER", "").rstrip(":"), identity.get("OPT", ""), settings
-        )
-        self._settings = read_settings(settings, self.axes, self.port)
+        self._info, self._settings = identify(self._link, self.axes)
         self._ask_state()
-
-    def _read_twice(self) -> tuple[dict[str, str], dict[str, str]]:
-        """Identity and settings, once the same was heard twice in a row: nothing on the line proves a digit whole.
-
-        Returns:
-            Bracketed answers to ``$I`` by name, and settings by number.
-
-        Raises:
-            GantryError: They never agree.
-        """
-        before: tuple[dict[str, str], dict[str, str]] | None = None
-        for _ in range(_READINGS):
-            answers = self._link.command("$I", _REPLY_S)
-            identity = {answer.name: answer.text for answer in answers if isinstance(answer, protocol.Message)}
-            answers = self._link.command("$$", _REPLY_S)
-            settings = {answer.number: answer.value for answer in answers if isinstance(answer, protocol.Setting)}
-            if (identity, settings) == before:
-                return before
-            before = identity, settings
-        raise GantryError("the controller's settings read differently each time: the line is bad", self.port)
 
     # --- reports and motion ----------------------------------------------------------------------------------------
 

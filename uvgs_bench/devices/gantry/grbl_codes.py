@@ -78,21 +78,47 @@ _GRBLHAL_ALARMS = {
 }
 
 
+_FLUIDNC_ALARMS = {
+    10: "the spindle did not answer",
+    11: "a control pin was active at the start",
+    12: "homing: a limit switch is closed and it is not known which",
+    13: "hard stop",
+    14: "homing is required",
+    15: "the controller has just started; homing is required",
+}
+_UVGS_ERRORS = {
+    46: "homing is required",
+    50: "the emergency stop is pressed",
+    52: "the setting's value is out of range",
+    60: "the checksum of the line is wrong",
+    61: "the line number is not the next",
+    62: "the measured move or trigger was broken off",
+}
+_UVGS_ALARMS = {10: "the emergency stop was pressed; the position is lost"}
+
+BAD_CHECKSUM = 60
+"""The error number that says a line was damaged and not run."""
+
+
 @dataclass(frozen=True, slots=True)
 class Dialect:
     """A firmware that speaks GRBL's protocol, as far as it differs.
 
     Args:
-        name: ``grbl`` or ``grblHAL``.
+        name: ``grbl``, ``grblHAL``, ``FluidNC`` or ``uvgs_gantry``.
         errors: Meaning of error numbers.
         alarms: Meaning of alarm numbers.
         has_jog: Whether ``$J=`` exists.
+        lists_settings: Whether ``$$`` tells steps, speeds and homing; FluidNC keeps them in a file of its own.
+        has_checksums: Whether a line may have a number and a checksum, and a repeated line is not run twice.
     """
 
     name: str
     errors: dict[int, str]
     alarms: dict[int, str]
-    has_jog: bool
+    has_jog: bool = True
+    lists_settings: bool = True
+    has_checksums: bool = False
 
     def meaning(self, kind: Literal["error", "alarm"], code: int) -> str:
         """What a number means, in words."""
@@ -109,7 +135,11 @@ def find_dialect(identity: dict[str, str]) -> Dialect:
     Returns:
         The dialect; plain grbl when nothing says otherwise. Jogs exist from grbl 1.1 on.
     """
-    if identity.get("FIRMWARE", "").lower() == "grblhal":
-        return Dialect("grblHAL", _ERRORS | _GRBLHAL_ERRORS, _ALARMS | _GRBLHAL_ALARMS, has_jog=True)
-    version = identity.get("VER", "")
+    firmware, version = identity.get("FIRMWARE", "").lower(), identity.get("VER", "")
+    if firmware == "grblhal":
+        return Dialect("grblHAL", _ERRORS | _GRBLHAL_ERRORS, _ALARMS | _GRBLHAL_ALARMS)
+    if firmware == "uvgs_gantry":
+        return Dialect("uvgs_gantry", _ERRORS | _UVGS_ERRORS, _ALARMS | _UVGS_ALARMS, has_checksums=True)
+    if "fluidnc" in version.lower():
+        return Dialect("FluidNC", _ERRORS, _ALARMS | _FLUIDNC_ALARMS, lists_settings=False)
     return Dialect("grbl", _ERRORS, _ALARMS, has_jog=not version.startswith(("0.", "1.0")))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
-from uvgs_bench.devices.gantry.grbl_codes import Dialect, find_dialect
+from uvgs_bench.devices.gantry.grbl_codes import BAD_CHECKSUM, Dialect, find_dialect
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
 from uvgs_bench.errors import GantryAlarm, GantryError, GantryLost, GantryRefused, GantryTimeout
 from uvgs_bench.geometry import FloatArray
@@ -13,6 +13,8 @@ from uvgs_bench.units import ns_from_s
 WELCOME_S = 3.0
 _REPORT_S = 1.0
 _QUIET_S = 0.2
+# A line whose reply takes longer is not repeated: homing, or a wait for the end of a move.
+_REPEAT_BELOW_S = 5.0
 # The offset is in every 30th report at least.
 _REPORTS_TO_OFFSET = 40
 
@@ -37,6 +39,7 @@ class GrblLink:
         self.line_under_way = ""
         self._clock = clock
         self._reports_due = 0
+        self._number = 1
         self._offset: FloatArray | None = None
 
     @property
@@ -90,7 +93,26 @@ class GrblLink:
         if self.line_under_way:
             raise GantryError(f"{self.line_under_way!r} is still unanswered: stop the gantry first", self.port)
         self.line_under_way = line
-        self.wire.send_line(line)
+        if not self.dialect.has_checksums:
+            self.wire.send_line(line)
+            return self._await_reply(line, timeout_s)
+        sealed = protocol.sealed(self._number, line)
+        self._number += 1
+        for is_last in (False, False, True):
+            self.line_under_way = line
+            self.wire.send_line(sealed)
+            try:
+                return self._await_reply(line, timeout_s)
+            except GantryRefused as refusal:
+                # Not run; and a line that was run is answered again and not run twice.
+                if is_last or refusal.code != BAD_CHECKSUM:
+                    raise
+            except GantryTimeout:
+                if is_last or timeout_s > _REPEAT_BELOW_S:
+                    raise
+        raise AssertionError
+
+    def _await_reply(self, line: str, timeout_s: float) -> list[protocol.Received]:
         deadline_ns = self._clock.now_ns() + ns_from_s(timeout_s)
         received: list[protocol.Received] = []
         while (item := self._receive(deadline_ns)) is not None:
@@ -179,7 +201,7 @@ class GrblLink:
 
     def _begin_epoch(self) -> None:
         self.epoch += 1
-        self.line_under_way, self._reports_due, self._offset = "", 0, None
+        self.line_under_way, self._reports_due, self._offset, self._number = "", 0, None, 1
 
     def _receive(self, deadline_ns: int) -> protocol.Received | None:
         line = self.wire.read_line(deadline_ns)

@@ -259,6 +259,28 @@ def write_move(
     return line
 
 
+def sealed(number: int, line: str) -> str:
+    """A line with its number and checksum, for firmware that refuses damaged lines and does not run one twice.
+
+    Args:
+        number: Of the line, one more than that of the line before.
+        line: Without its end.
+
+    Returns:
+        The line as sent.
+
+    Source: ``firmware/PROTOCOL.md``, numbered lines and checksums: CRC-8, polynomial 0x07, start 0.
+    """
+    text = f"N{number} {line}"
+    check = 0
+    for byte in text.encode("ascii"):
+        check ^= byte
+        for _ in range(8):
+            check = (check << 1) ^ (0x07 if check & 0x80 else 0)
+            check &= 0xFF
+    return f"{text}*{check:02X}"
+
+
 def check_line(line: str) -> None:
     """Refuse a line the controller would drop or misread.
 

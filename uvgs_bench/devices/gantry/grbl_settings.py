@@ -8,11 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uvgs_bench.devices.gantry.axes import Axis
+from uvgs_bench.devices.gantry.grbl_codes import Dialect
 from uvgs_bench.errors import GantryError
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import S_PER_MIN, deg_from_rad, m_from_mm, mm_from_m, rad_from_deg
 
 _CORRUPT = 255.0
+# Steps per mm or deg of a belt drive, for controllers that do not tell: arrival is judged by half a step.
+_COARSE_STEPS = 80.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,13 +33,14 @@ class ControllerSettings:
     axes: tuple[Axis, ...]
 
 
-def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str) -> ControllerSettings:
+def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str, dialect: Dialect) -> ControllerSettings:
     """Check a controller's settings against the bench.
 
     Args:
         settings: Values by number, as text.
         axes: The axes in the controller's order.
         port: For messages.
+        dialect: The firmware; one that does not list its settings is taken at the word of the bench.
 
     Returns:
         What the driver needs.
@@ -44,19 +48,15 @@ def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str) 
     Raises:
         GantryError: Settings are missing or corrupt, reports are in inches, or the travel is shorter than the envelope.
     """
-    values: dict[int, float] = {}
-    for number, text in settings.items():
-        try:
-            values[int(number)] = float(text)
-        except ValueError:
-            continue
-    if not values:
+    values = _numbers(settings)
+    if not values and dialect.lists_settings:
         raise GantryError("the controller tells no settings; expected lines like $100=250.000", port)
     if sum(values.get(number) == _CORRUPT for number in (0, 2, 3, 10, 26, 100)) >= 3:
         raise GantryError("the controller's settings are corrupt (255 everywhere); restore them with $RST=$", port)
     if values.get(13, 0.0):
         raise GantryError("the controller reports in inches ($13=1); the driver needs $13=0", port)
-    steps = np.array([values.get(100 + i, 0.0) for i in range(len(axes))])
+    unknown_steps = 0.0 if dialect.lists_settings else _COARSE_STEPS
+    steps = np.array([values.get(100 + i, unknown_steps) for i in range(len(axes))])
     for i, axis in enumerate(axes):
         if not (np.isfinite(steps[i]) and steps[i] > 0.0):
             raise GantryError(f"axis {axis.name}: the controller has no steps per unit (${100 + i})", port)
@@ -71,7 +71,41 @@ def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str) 
                 port,
             )
     paced = tuple(_paced(axis, values.get(110 + i, 0.0), values.get(120 + i, 0.0)) for i, axis in enumerate(axes))
-    return ControllerSettings(read_only(steps), bool(values.get(22, 0.0)), paced)
+    return ControllerSettings(read_only(steps), bool(values.get(22, 0.0 if dialect.lists_settings else 1.0)), paced)
+
+
+def settings_warnings(settings: Mapping[str, str], axes: Sequence[Axis]) -> tuple[str, ...]:
+    """What is unwise about a controller's settings, one line each.
+
+    Args:
+        settings: Values by number, as text.
+        axes: The axes in the controller's order.
+
+    Returns:
+        Nothing, when all is well or the controller does not tell.
+    """
+    values = _numbers(settings)
+    warnings = []
+    if values.get(20) == 0.0:
+        warnings.append("soft limits are off ($20=0): a move damaged on the line is not refused by the controller")
+    if values.get(1, _CORRUPT) != _CORRUPT:
+        warnings.append(f"motors are released {values[1]:g} ms after a move ($1): use $1=255 to hold the position")
+    if values.get(32):
+        warnings.append("laser mode is on ($32=1): lights go out at a hold")
+    for i, axis in enumerate(axes):
+        if values.get(130 + i) == 0.0 and axis.kind == "linear":
+            warnings.append(f"axis {axis.name} has no travel (${130 + i}=0), so no soft limit")
+    return tuple(warnings)
+
+
+def _numbers(settings: Mapping[str, str]) -> dict[int, float]:
+    values: dict[int, float] = {}
+    for number, text in settings.items():
+        try:
+            values[int(number)] = float(text)
+        except ValueError:
+            continue
+    return values
 
 
 def _paced(axis: Axis, speed_per_min: float, acceleration: float) -> Axis:
