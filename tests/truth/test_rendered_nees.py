@@ -15,8 +15,9 @@ from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.devices.sim.camera import SimulatedCamera
 from uvgs_bench.geometry import Pose
 from uvgs_bench.geometry.se3 import se3_log, so3_exp
-from uvgs_bench.sensor import Capture, PoseEstimate, Uvgs
+from uvgs_bench.sensor import Capture, PoseEstimate, Uvgs, UvgsConfig
 from uvgs_bench.sensor.doubt_kernels import disc_shift
+from uvgs_bench.sensor.fit import FitTables, estimate_of, fit_named
 from uvgs_bench.store.bench import read_passing_beacon
 
 POSE = Pose(so3_exp(np.array([0.5, -0.3, 0.2])), np.array([0.05, -0.04, 0.7]), "camera", "beacon")
@@ -76,8 +77,8 @@ def test_a_tilted_disc_shifts_by_the_centre_of_its_ellipse():
 
 
 def solved(beacon: Beacon, calibration: Calibration, px: np.ndarray) -> Pose:
-    fit = Uvgs(calibration, beacon)._fit(np.arange(4), px, np.full(4, 0.01), POSE)
-    return fit.solution.camera_from_beacon
+    tables = FitTables.of(calibration, beacon, UvgsConfig())
+    return fit_named(tables, np.arange(4), px, np.full(4, 0.01), POSE).camera_from_beacon
 
 
 def test_the_parts_of_the_covariance_are_first_derivatives_times_their_causes():
@@ -90,9 +91,9 @@ def test_the_parts_of_the_covariance_are_first_derivatives_times_their_causes():
     C = sigma[:, None] * mixed * sigma
     beacon, calibration = spots.beacon(doubt_m2), Calibration(lens, "spots", covariance=C)
     px = lens.project(POSE.apply(beacon.positions_m))
-    uvgs = Uvgs(calibration, beacon)
-    fit = uvgs._fit(np.arange(4), px, np.full(4, 0.01), POSE)
-    got = uvgs._estimate(Capture(np.zeros((2, 2), dtype=np.uint8), 0), fit, np.inf, None, 4, 0, {})
+    tables = FitTables.of(calibration, beacon, UvgsConfig())
+    fit = fit_named(tables, np.arange(4), px, np.full(4, 0.01), POSE)
+    got = estimate_of(fit, tables, 0, np.inf, None, 4, 0, {})
     assert got.beacon_covariance is not None
     assert got.calibration_covariance is not None
     np.testing.assert_allclose(got.noise_covariance + got.beacon_covariance, got.covariance, rtol=1e-12)

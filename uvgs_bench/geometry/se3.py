@@ -13,6 +13,7 @@ import numpy as np
 
 from uvgs_bench.geometry.arrays import FloatArray
 from uvgs_bench.geometry.compiled import compiled
+from uvgs_bench.geometry.small_matrices import product, times
 
 # Below this squared angle the series with three terms is exact to double precision.
 _SMALL_ANGLE_SQUARED = 1e-4
@@ -65,7 +66,7 @@ def so3_exp(w: FloatArray) -> FloatArray:
     """
     a, b, _ = _series(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     W = hat(w)
-    return np.eye(3) + a * W + b * (W @ W)
+    return np.eye(3) + a * W + b * product(W, W)
 
 
 @compiled
@@ -195,7 +196,7 @@ def so3_left_jacobian(w: FloatArray) -> FloatArray:
     """
     _, b, c = _series(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     W = hat(w)
-    return np.eye(3) + b * W + c * (W @ W)
+    return np.eye(3) + b * W + c * product(W, W)
 
 
 @compiled
@@ -217,7 +218,7 @@ def so3_left_jacobian_inverse(w: FloatArray) -> FloatArray:
         # (1 - (a/2) cot(a/2)) / a^2; the cotangent stays finite up to and beyond pi.
         c = (1.0 - half * cos(half) / sin(half)) / a2
     W = hat(w)
-    out: FloatArray = np.eye(3) - 0.5 * W + c * (W @ W)
+    out: FloatArray = np.eye(3) - 0.5 * W + c * product(W, W)
     return out
 
 
@@ -232,7 +233,7 @@ def se3_exp(xi: FloatArray) -> tuple[FloatArray, FloatArray]:
         R, shape (3, 3), and t, shape (3,), m.
     """
     w = xi[:3].copy()
-    return so3_exp(w), so3_left_jacobian(w) @ xi[3:].copy()
+    return so3_exp(w), times(so3_left_jacobian(w), xi[3:])
 
 
 @compiled
@@ -249,7 +250,7 @@ def se3_log(R: FloatArray, t: FloatArray) -> FloatArray:
     out = np.empty(6)
     w = so3_log(R)
     out[:3] = w
-    out[3:] = so3_left_jacobian_inverse(w) @ t
+    out[3:] = times(so3_left_jacobian_inverse(w), t)
     return out
 
 
@@ -267,7 +268,7 @@ def se3_adjoint(R: FloatArray, t: FloatArray) -> FloatArray:
     out = np.zeros((6, 6))
     out[:3, :3] = R
     out[3:, 3:] = R
-    out[3:, :3] = hat(t) @ R
+    out[3:, :3] = product(hat(t), R)
     return out
 
 
@@ -288,11 +289,13 @@ def _q_block(w: FloatArray, v: FloatArray) -> FloatArray:
         c1 = (a - sin(a)) / (a2 * a)
         c2 = (a2 / 2.0 + cos(a) - 1.0) / a4
         c3 = (2.0 * a - 3.0 * sin(a) + a * cos(a)) / (2.0 * a4 * a)
-    WV = W @ V
-    VW = V @ W
-    WVW = WV @ W
-    WW = W @ W
-    out: FloatArray = 0.5 * V + c1 * (WV + VW + WVW) + c2 * (WW @ V + V @ WW - 3.0 * WVW) + c3 * (WVW @ W + W @ WVW)
+    WV = product(W, V)
+    VW = product(V, W)
+    WVW = product(WV, W)
+    WWV = product(W, WV)
+    VWW = product(VW, W)
+    out: FloatArray = 0.5 * V + c1 * (WV + VW + WVW) + c2 * (WWV + VWW - 3.0 * WVW)
+    out += c3 * (product(WVW, W) + product(W, WVW))
     return out
 
 
@@ -330,7 +333,7 @@ def se3_left_jacobian_inverse(xi: FloatArray) -> FloatArray:
     out = np.zeros((6, 6))
     out[:3, :3] = K
     out[3:, 3:] = K
-    out[3:, :3] = -K @ _q_block(w, xi[3:].copy()) @ K
+    out[3:, :3] = -product(product(K, _q_block(w, xi[3:].copy())), K)
     return out
 
 

@@ -77,6 +77,30 @@ class Solution:
 Solve = Callable[[Lens, FloatArray, FloatArray, FloatArray, Pose, int], Solution]
 
 
+def refining(refine: Callable[..., tuple[float, int, bool]], *more: float) -> Solve:
+    """Make a solver of a kernel that refines a pose in place.
+
+    Args:
+        refine: Kernel of model_id, lens, points, px, sigma, R, t, max_iterations and ``more``; answers chi-square,
+            steps and whether it converged.
+        more: Further arguments of the kernel.
+
+    Returns:
+        The solver.
+    """
+
+    def solve(
+        lens: Lens, points_m: FloatArray, px: FloatArray, sigma_px: FloatArray, start: Pose, max_iterations: int
+    ) -> Solution:
+        R, t = start.R.copy(), start.t_m.copy()
+        _, steps, converged = refine(
+            lens.model_id, lens.kernel_parameters, points_m, px, sigma_px, R, t, max_iterations, *more
+        )
+        return Solution.at(lens, points_m, px, sigma_px, Pose(R, t, "camera", "beacon"), steps, converged)
+
+    return solve
+
+
 def solver(name: str) -> Solve:
     """Look up a solver.
 

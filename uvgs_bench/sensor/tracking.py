@@ -6,37 +6,18 @@ It knows nothing but the prior, so the same picture with the same prior gives th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
-from uvgs_bench.camera.lens import Lens
-from uvgs_bench.geometry import FloatArray
+from uvgs_bench.geometry import Pose
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.correspondence import LedTable
+from uvgs_bench.sensor.fit import DISC_DOUBT, Fit, FitTables
 from uvgs_bench.sensor.outcome import PoseEstimate
-from uvgs_bench.sensor.tracking_kernels import FOUND, find_leds
+from uvgs_bench.sensor.tracking_kernels import FOUND, solve_tracked
 from uvgs_bench.units import rad_from_deg, s_from_ns
 
 # A beacon is not followed across a longer gap: what happened in it cannot be predicted.
 _LONGEST_GAP_S = 0.5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackedLeds:
-    """Where the LEDs were found.
-
-    Args:
-        seen: Indices of the LEDs, shape (k,).
-        centroid_px: Centroids, shape (k, 2), raw px.
-        sigma_px: Their deviations, shape (k,), px.
-    """
-
-    seen: NDArray[np.intp]
-    centroid_px: FloatArray
-    sigma_px: FloatArray
 
 
 def is_trackable(capture: Capture, prior: PoseEstimate, beacon: str, config: UvgsConfig) -> bool:
@@ -57,6 +38,7 @@ def is_trackable(capture: Capture, prior: PoseEstimate, beacon: str, config: Uvg
         and capture.image.ndim == 2
         and config.detection == "fast"
         and config.centroid == "weighted"
+        and config.solver == "uvgs_lm"
         and prior.beacon == beacon
         and 0 <= gap_ns <= _LONGEST_GAP_S * 1e9
         and prior.margin >= config.min_margin
@@ -65,23 +47,18 @@ def is_trackable(capture: Capture, prior: PoseEstimate, beacon: str, config: Uvg
     )
 
 
-def find_tracked_leds(
-    capture: Capture, prior: PoseEstimate, lens: Lens, leds: LedTable, radii_m: FloatArray, config: UvgsConfig
-) -> TrackedLeds | None:
-    """Find every LED in its window.
+def follow(capture: Capture, prior: PoseEstimate, tables: FitTables) -> Fit | None:
+    """Find every LED in its window, fit and judge.
 
     The windows grow with the covariance of the prior, and with how far the beacon can have moved since.
 
     Args:
         capture: The picture, mono.
         prior: The last pose.
-        lens: The lens.
-        leds: The tabulated beacon.
-        radii_m: Radius of each LED, shape (n,), m; 0 where unknown.
-        config: Parameters.
+        tables: Camera, beacon and parameters.
 
     Returns:
-        The LEDs, or None when the whole picture has to be searched.
+        A believed fit, or None when the whole picture has to be searched.
     """
     image = capture.image
     full_scale = 255.0
@@ -89,19 +66,24 @@ def find_tracked_leds(
         # Of a deeper picture the brightest pixel tells the number of bits, and finding it takes the whole picture.
         return None
     image = image if image.flags.c_contiguous else image.copy()
+    lens, leds, config = tables.lens, tables.leds, tables.config
     n = len(leds.positions_m)
     gap_s = s_from_ns(capture.t_ns - prior.t_ns)
-    centroid, sigma, seen = np.empty((n, 2)), np.empty(n), np.empty(n, dtype=np.int64)
-    pose = prior.camera_from_beacon
+    last = prior.camera_from_beacon
+    R, t = last.R.copy(), last.t_m.copy()
+    led_px, residual = np.empty((n, 2)), np.empty((n, 2))
+    noise, by_beacon, by_calibration = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     # Limits count as three deviations.
     turn_rad = rad_from_deg(config.max_turn_deg_s) * gap_s / 3.0
     shift_m = config.max_speed_mps * gap_s / 3.0
-    status, count = find_leds(
-        image, lens.model_id, lens.kernel_parameters, leds.positions_m, leds.axes, radii_m, leds.cos_limit,
-        pose.R.copy(), pose.t_m.copy(), prior.covariance.copy(), turn_rad, shift_m,
+    status, seen, rms_px = solve_tracked(
+        image, lens.model_id, lens.kernel_parameters, leds.positions_m, leds.axes, tables.radii_m, leds.cos_limit,
+        tables.beacon_m2, tables.calibration, tables.limits, R, t, prior.covariance.copy(), turn_rad, shift_m,
         config.window_px // 2, config.threshold_k, config.threshold_floor, config.min_area_px2, config.max_area_px2,
-        config.min_circularity, config.gain_e_per_dn, full_scale, centroid, sigma, seen,
+        config.min_circularity, config.gain_e_per_dn, full_scale, config.max_iterations, DISC_DOUBT,
+        led_px, residual, noise, by_beacon, by_calibration,
     )  # fmt: skip
     if status != FOUND:
         return None
-    return TrackedLeds(seen[:count], centroid[:count], sigma[:count])
+    pose = Pose(R, t, "camera", "beacon")
+    return Fit(seen, pose, led_px, residual, rms_px, noise, by_beacon, by_calibration, None)

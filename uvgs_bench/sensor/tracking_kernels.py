@@ -11,7 +11,7 @@ from uvgs_bench.camera.lens_kernels import project_point_with_jacobian
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
 from uvgs_bench.sensor.capture import ImageArray
-from uvgs_bench.sensor.centroid_kernels import CX, CY, MEASURE_COLUMNS, SIGMA, WIDTH, measure_blobs
+from uvgs_bench.sensor.centroid_kernels import CX, CY, MEASURE_COLUMNS, SIGMA, WIDTH, WINDOW_RATIO, measure_blobs
 from uvgs_bench.sensor.detection_kernels import (
     AREA,
     COMPONENT_COLUMNS,
@@ -22,10 +22,16 @@ from uvgs_bench.sensor.detection_kernels import (
     Y1,
     find_components_in,
 )
+from uvgs_bench.sensor.judging_kernels import BELIEVED, fit_and_judge
 
 # What can come of it.
-FOUND, OUT_OF_VIEW, TOO_UNCERTAIN, NOT_ALONE, UNFIT = 0, 1, 2, 3, 4
+FOUND, OUT_OF_VIEW, TOO_UNCERTAIN, NOT_ALONE, UNFIT, REFUSED = 0, 1, 2, 3, 4, 5
 _MAX_HALF_PX = 72.0
+# Half width of the room a centroid needs, over the width of its spot.
+_ROOM = 8.0
+# A spot as wide as can be expected of an LED: of a point spread of this deviation, px, and of its disc.
+_WIDEST_PSF_PX = 1.2
+_WIDTH_OF_DISC = 0.85
 _DEVIATIONS = 3.5
 # An LED this near to the edge of its cone may or may not be seen.
 _CONE_SLACK = 0.03
@@ -118,10 +124,13 @@ def find_leds(
             _variance(vx, vy, vz, x, y, z, t, covariance, turn_rad, shift_m),
         )
         radius_px = radii[i] * sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
-        reach = _DEVIATIONS * sqrt(variance) + 10.0 + 5.0 * radius_px
+        moved = _DEVIATIONS * sqrt(variance)
+        reach = moved + 10.0 + 5.0 * radius_px
         if not reach <= _MAX_HALF_PX:
             return TOO_UNCERTAIN, count
-        side = ceil(reach)
+        # With room enough for the centroid from the start the surroundings need not be searched again.
+        width_px = WINDOW_RATIO * sqrt(_WIDEST_PSF_PX**2 + (_WIDTH_OF_DISC * radius_px) ** 2)
+        side = ceil(min(max(reach, moved + _ROOM * width_px + 1.0), _MAX_HALF_PX))
         x0 = round(u) - side
         y0 = round(v) - side
         x1 = round(u) + side + 1
@@ -166,7 +175,7 @@ def find_leds(
             # Spots that reach into each other are taken apart in the whole picture, where all of them are known.
             if sqrt((x - table[j, CX]) ** 2 + (y - table[j, CY]) ** 2) < 4.0 * (s + table[j, WIDTH]):
                 return NOT_ALONE, count
-        room = 8.0 * s
+        room = _ROOM * s
         if (
             x - room < windows[i, 0]
             or y - room < windows[i, 1]
@@ -210,3 +219,90 @@ def _variance(
     qz = z - t[2]
     turned = (f * qy - e * qz) ** 2 + (d * qz - f * qx) ** 2 + (e * qx - d * qy) ** 2
     return float(total + turn_rad * turn_rad * turned + shift_m * shift_m * (d * d + e * e + f * f))
+
+
+@compiled
+def solve_tracked(
+    image: ImageArray,
+    model_id: int,
+    lens: FloatArray,
+    leds: FloatArray,
+    axes: FloatArray,
+    radii: FloatArray,
+    cos_limit: FloatArray,
+    beacon_m2: FloatArray,
+    calibration: FloatArray,
+    limits: FloatArray,
+    R: FloatArray,
+    t: FloatArray,
+    covariance: FloatArray,
+    turn_rad: float,
+    shift_m: float,
+    half: int,
+    threshold_k: float,
+    threshold_floor: float,
+    min_area: float,
+    max_area: float,
+    min_circularity: float,
+    gain_e_per_dn: float,
+    full_scale: float,
+    max_iterations: int,
+    shift_doubt: float,
+    led_px: FloatArray,
+    led_residual: FloatArray,
+    noise: FloatArray,
+    by_beacon: FloatArray,
+    by_calibration: FloatArray,
+) -> tuple[int, int, float]:
+    """From a prior to the next pose, in one call: find the LEDs, fit, judge.
+
+    Args:
+        image: As for ``find_leds``.
+        model_id: Lens model number.
+        lens: Lens parameters for kernels.
+        leds: LED positions, shape (n, 3), m.
+        axes: Emission axes, shape (n, 3).
+        radii: LED radii, shape (n,), m; 0 where unknown.
+        cos_limit: As for ``find_leds``.
+        beacon_m2: As for ``fit_and_judge``.
+        calibration: As for ``fit_and_judge``.
+        limits: As for ``fit_and_judge``.
+        R: Predicted rotation, then the result, shape (3, 3).
+        t: Predicted translation, then the result, shape (3,), m.
+        covariance: As for ``find_leds``.
+        turn_rad: As for ``find_leds``.
+        shift_m: As for ``find_leds``.
+        half: As for ``find_leds``.
+        threshold_k: As for ``find_leds``.
+        threshold_floor: As for ``find_leds``.
+        min_area: As for ``find_leds``.
+        max_area: As for ``find_leds``.
+        min_circularity: As for ``find_leds``.
+        gain_e_per_dn: As for ``find_leds``.
+        full_scale: As for ``find_leds``.
+        max_iterations: As for ``fit_and_judge``.
+        shift_doubt: As for ``fit_and_judge``.
+        led_px: As for ``fit_and_judge``.
+        led_residual: As for ``fit_and_judge``.
+        noise: As for ``fit_and_judge``.
+        by_beacon: As for ``fit_and_judge``.
+        by_calibration: As for ``fit_and_judge``.
+
+    Returns:
+        What came of it (``FOUND``: a pose that is believed), how many LEDs were found, and the rms residual, px.
+    """
+    n = leds.shape[0]
+    centroid = np.empty((n, 2))
+    sigma = np.empty(n)
+    seen = np.empty(n, dtype=np.int64)
+    status, count = find_leds(
+        image, model_id, lens, leds, axes, radii, cos_limit, R, t, covariance, turn_rad, shift_m, half, threshold_k,
+        threshold_floor, min_area, max_area, min_circularity, gain_e_per_dn, full_scale, centroid, sigma, seen,
+    )  # fmt: skip
+    if status != FOUND:
+        return status, count, 0.0
+    verdict, _, _, _, rms = fit_and_judge(
+        model_id, lens, leds, axes, radii, cos_limit, beacon_m2, calibration, limits, seen[:count], max_iterations,
+        shift_doubt, centroid[:count], sigma[:count], R, t, led_px, led_residual, noise, by_beacon, by_calibration,
+    )  # fmt: skip
+    return (FOUND if verdict == BELIEVED else REFUSED), count, rms

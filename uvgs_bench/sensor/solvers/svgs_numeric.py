@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from uvgs_bench.camera.lens import Lens
 from uvgs_bench.camera.lens_kernels import project_point
-from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
 from uvgs_bench.sensor.pose_kernels import solve_damped, turn_and_shift
-from uvgs_bench.sensor.solution import Solution
+from uvgs_bench.sensor.solution import refining
 
 # Turn (rad), and shift relative to the range: truncation 1e-10 and rounding 1e-11 of the derivative meet here.
 _DIFFERENCE = 1e-5
@@ -179,24 +178,4 @@ def refine_many_numerically(
         refine_numerically(model_id, lens, points, px[i], sigma, R[i], t[i], max_iterations)
 
 
-def solve(
-    lens: Lens, points_m: FloatArray, px: FloatArray, sigma_px: FloatArray, start: Pose, max_iterations: int
-) -> Solution:
-    """Refine a start to the least squares pose with a numeric Jacobian.
-
-    Args:
-        lens: The lens.
-        points_m: Beacon points, shape (n, 3), m, n >= 3.
-        px: Observed centroids, shape (n, 2), raw px.
-        sigma_px: Their deviations, shape (n,), px.
-        start: camera_from_beacon to start from.
-        max_iterations: Most steps.
-
-    Returns:
-        The solution.
-    """
-    R, t = start.R.copy(), start.t_m.copy()
-    _, steps, converged = refine_numerically(
-        lens.model_id, lens.kernel_parameters, points_m, px, sigma_px, R, t, max_iterations
-    )
-    return Solution.at(lens, points_m, px, sigma_px, Pose(R, t, "camera", "beacon"), steps, converged)
+solve = refining(refine_numerically)

@@ -6,11 +6,10 @@ from math import sqrt
 
 import numpy as np
 
-from uvgs_bench.camera.lens import Lens
-from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
 from uvgs_bench.sensor.pose_kernels import normal_equations, solve_damped, turn_and_shift
-from uvgs_bench.sensor.solution import Solution
+from uvgs_bench.sensor.solution import refining
 
 # What is left to the minimum may be this at most: turn (rad) plus shift relative to the range.
 _REMAINDER = 1e-11
@@ -71,7 +70,7 @@ def refine_pose_dogleg(
     R: FloatArray,
     t: FloatArray,
     max_iterations: int,
-) -> tuple[int, bool]:
+) -> tuple[float, int, bool]:
     """Minimise the whitened reprojection error from a start, in place.
 
     Args:
@@ -85,7 +84,7 @@ def refine_pose_dogleg(
         max_iterations: Most steps tried.
 
     Returns:
-        Steps tried, whether it converged.
+        Chi-square, steps tried, whether it converged.
 
     Source: section 2.5 of the uVGS-2 paper names Dogleg beside Levenberg-Marquardt.
     """
@@ -101,14 +100,14 @@ def refine_pose_dogleg(
     t_new = np.empty(3)
     cost = normal_equations(model_id, lens, points, px, sigma, R, t, t, H, g, residual)
     if cost == np.inf:
-        return 0, False
+        return np.inf, 0, False
     radius = np.inf
     for iteration in range(max_iterations):
         damping = 1e-12
         while not solve_damped(H, g, damping, newton, L):
             damping = max(10.0 * damping, 1e-9)
             if damping > 1e10:
-                return iteration + 1, False
+                return cost, iteration + 1, False
         length = _dogleg_step(H, g, newton, radius, step)
         size = abs(step[0]) + abs(step[1]) + abs(step[2])
         size += (abs(step[3]) + abs(step[4]) + abs(step[5])) / (abs(t[0]) + abs(t[1]) + abs(t[2]))
@@ -131,37 +130,16 @@ def refine_pose_dogleg(
             g, g_new = g_new, g
             cost = new_cost
             if size < _REMAINDER:
-                return iteration + 1, True
+                return cost, iteration + 1, True
             if kept > 0.75:
                 radius = max(radius, 3.0 * length)
             elif kept < 0.25:
                 radius = 0.5 * length
         else:
             if size < 1e-9:
-                return iteration + 1, True
+                return cost, iteration + 1, True
             radius = 0.25 * length
-    return max_iterations, False
+    return cost, max_iterations, False
 
 
-def solve(
-    lens: Lens, points_m: FloatArray, px: FloatArray, sigma_px: FloatArray, start: Pose, max_iterations: int
-) -> Solution:
-    """Refine a start to the least squares pose.
-
-    Args:
-        lens: The lens.
-        points_m: Beacon points, shape (n, 3), m, n >= 3.
-        px: Observed centroids, shape (n, 2), raw px.
-        sigma_px: Their deviations, shape (n,), px.
-        start: camera_from_beacon to start from.
-        max_iterations: Most steps.
-
-    Returns:
-        The solution.
-    """
-    R = start.R.copy()
-    t = start.t_m.copy()
-    steps, converged = refine_pose_dogleg(
-        lens.model_id, lens.kernel_parameters, points_m, px, sigma_px, R, t, max_iterations
-    )
-    return Solution.at(lens, points_m, px, sigma_px, Pose(R, t, "camera", "beacon"), steps, converged)
+solve = refining(refine_pose_dogleg)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from uvgs_bench.camera.lens import Lens
-from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
 from uvgs_bench.sensor.pose_kernels import normal_equations, solve_damped, turn_and_shift
-from uvgs_bench.sensor.solution import Solution
+from uvgs_bench.sensor.solution import refining
 
 # What is left to the minimum may be this at most: turn (rad) plus shift relative to the range.
 _REMAINDER = 1e-11
@@ -96,24 +95,4 @@ def refine_pose(
     return cost, max_iterations, False
 
 
-def solve(
-    lens: Lens, points_m: FloatArray, px: FloatArray, sigma_px: FloatArray, start: Pose, max_iterations: int
-) -> Solution:
-    """Refine a start to the least squares pose.
-
-    Args:
-        lens: The lens.
-        points_m: Beacon points, shape (n, 3), m, n >= 3.
-        px: Observed centroids, shape (n, 2), raw px.
-        sigma_px: Their deviations, shape (n,), px.
-        start: camera_from_beacon to start from.
-        max_iterations: Most steps.
-
-    Returns:
-        The solution.
-    """
-    R = start.R.copy()
-    t = start.t_m.copy()
-    parameters = lens.kernel_parameters
-    _, steps, converged = refine_pose(lens.model_id, parameters, points_m, px, sigma_px, R, t, max_iterations, np.inf)
-    return Solution.at(lens, points_m, px, sigma_px, Pose(R, t, "camera", "beacon"), steps, converged)
+solve = refining(refine_pose, np.inf)
