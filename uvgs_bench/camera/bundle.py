@@ -139,8 +139,17 @@ class Bundle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Normal:
-    """Normal equations: pose blocks (V, 6, 6), mixed blocks (V, 6, G), common blocks (V, G, G), gradients, costs."""
+class NormalEquations:
+    """Normal equations of each view.
+
+    Args:
+        poses: Pose blocks, shape (V, 6, 6).
+        mixed: Pose by common, shape (V, 6, G).
+        common: Common blocks, shape (V, G, G).
+        gradient_poses: Residuals carried to the poses, shape (V, 6).
+        gradient_common: The same to the common parameters, shape (V, G).
+        cost_of_view: Sum of squared residuals, shape (V,), px^2.
+    """
 
     poses: FloatArray
     mixed: FloatArray
@@ -150,7 +159,17 @@ class _Normal:
     cost_of_view: FloatArray
 
 
-def _normal(bundle: Bundle, corners: Corners, *, with_common: bool = True) -> _Normal:
+def normal_of_views(bundle: Bundle, corners: Corners, *, with_common: bool = True) -> NormalEquations:
+    """Linearise the projection of every corner.
+
+    Args:
+        bundle: Where.
+        corners: What was seen.
+        with_common: Whether the common parameters have columns too; without, those blocks are empty.
+
+    Returns:
+        The equations; NaN for a view with a corner outside the valid field.
+    """
     points_m = corners.points_m if bundle.shape is None else corners.points_m + corners.by_shape @ bundle.shape
     gram = gram_of_views(
         bundle.lens.model_id,
@@ -164,7 +183,7 @@ def _normal(bundle: Bundle, corners: Corners, *, with_common: bool = True) -> _N
         bundle.lens.parameters.size if with_common else 0,
         len(SHAPE_NAMES) if with_common and bundle.shape is not None else 0,
     )
-    return _Normal(
+    return NormalEquations(
         gram[:, :6, :6], gram[:, :6, 6:-1], gram[:, 6:-1, 6:-1], gram[:, :6, -1], gram[:, 6:-1, -1], gram[:, -1, -1]
     )
 
@@ -199,7 +218,7 @@ def adjust(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) ->
         CalibrationError: The start does not see its corners, or nothing moves the cost.
     """
     weights = np.zeros(bundle.common.size) if prior is None else prior
-    normal = _normal(bundle, corners)
+    normal = normal_of_views(bundle, corners)
     cost = float(normal.cost_of_view.sum() + weights @ bundle.common**2)
     if not np.isfinite(cost):
         raise CalibrationError("the start of the adjustment does not see all corners")
@@ -217,7 +236,7 @@ def adjust(bundle: Bundle, corners: Corners, prior: FloatArray | None = None) ->
             step = scale * np.linalg.solve(scale[:, None] * S * scale, scale * rhs)
             twists = (inverse @ (normal.gradient_poses - normal.mixed @ step)[:, :, None])[:, :, 0]
             candidate = bundle.moved(twists, bundle.common + step)
-            new = _normal(candidate, corners)
+            new = normal_of_views(candidate, corners)
             new_cost = float(new.cost_of_view.sum() + weights @ candidate.common**2)
         except (np.linalg.LinAlgError, CalibrationError, ValueError):
             new_cost = np.inf
@@ -251,7 +270,7 @@ def relative_decrement(bundle: Bundle, corners: Corners, prior: FloatArray | Non
     Returns:
         The share; infinite where no step can be computed.
     """
-    normal = _normal(bundle, corners)
+    normal = normal_of_views(bundle, corners)
     weights = np.zeros(bundle.common.size) if prior is None else prior
     cost = float(normal.cost_of_view.sum() + weights @ bundle.common**2)
     common = normal.common.sum(axis=0) + np.diag(weights)
@@ -282,7 +301,7 @@ def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bund
         The lens with better poses.
     """
     damping = np.full(corners.view_count, 1e-3)
-    normal = _normal(bundle, corners, with_common=False)
+    normal = normal_of_views(bundle, corners, with_common=False)
     for _ in range(iterations):
         blocks = np.where(np.isfinite(normal.poses), normal.poses, 0.0) + 1e-12 * np.eye(6)
         gradient = np.where(np.isfinite(normal.gradient_poses), normal.gradient_poses, 0.0)
@@ -290,7 +309,7 @@ def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bund
         # Half a turn is the most a step can mean.
         twists[np.linalg.norm(twists[:, :3], axis=1) > 1.0] *= 0.3
         moved = bundle.moved(twists)
-        new = _normal(moved, corners, with_common=False)
+        new = normal_of_views(moved, corners, with_common=False)
         is_better = new.cost_of_view < normal.cost_of_view
         gain = (normal.cost_of_view - new.cost_of_view) / np.maximum(normal.cost_of_view, 1e-300)
         bundle = Bundle(
@@ -302,7 +321,7 @@ def refine_poses(bundle: Bundle, corners: Corners, iterations: int = 50) -> Bund
         if is_better.all():
             normal = new
         elif is_better.any():
-            normal = _normal(bundle, corners, with_common=False)
+            normal = normal_of_views(bundle, corners, with_common=False)
         damping = np.where(is_better, damping * 0.1, damping * 8.0)
         if (is_better & (gain < 1e-12)).all() or (damping > 1e3).all():
             break
@@ -326,7 +345,7 @@ class Information:
 
 def information(bundle: Bundle, corners: Corners) -> Information:
     """Information at a minimum, view by view. Raises LinAlgError when a view does not fix its own pose."""
-    normal = _normal(bundle, corners)
+    normal = normal_of_views(bundle, corners)
     inverse = np.asarray(np.linalg.inv(normal.poses), dtype=np.float64)
     eliminated: FloatArray = inverse @ normal.mixed
     S = normal.common - normal.mixed.swapaxes(1, 2) @ eliminated

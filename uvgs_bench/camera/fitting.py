@@ -18,6 +18,7 @@ from uvgs_bench.camera.cross_validation import MIN_VIEWS, HeldOut, SplitHalf, he
 from uvgs_bench.camera.lens import LENSES
 from uvgs_bench.camera.lens_covariance import Doubt, doubt_of, prior_of
 from uvgs_bench.camera.residual_structure import Coverage, ResidualStructure, coverage, residual_structure
+from uvgs_bench.camera.view_trends import ViewTrends, view_trends
 from uvgs_bench.errors import CalibrationError, TooFewViews
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import deg_from_rad
@@ -114,6 +115,7 @@ class CalibrationResult:
         views: The views themselves, in the order of ``view_names``.
         lens_trials: The lenses that were compared before this one was chosen, added by whoever compared them.
         is_at_rest: As in ``Fit``.
+        trends: What changed from picture to picture; None where nobody looked.
     """
 
     calibration: Calibration
@@ -138,6 +140,7 @@ class CalibrationResult:
     views: tuple[BoardView, ...]
     lens_trials: tuple[LensTrial, ...] = ()
     is_at_rest: bool = True
+    trends: ViewTrends | None = None
 
 
 def fit(views: Sequence[BoardView], model: str, *, reject_outliers: bool = True, is_board_free: bool = False) -> Fit:
@@ -256,6 +259,7 @@ def calibrate(
         shape,
         tuple(views),
         is_at_rest=fitted.is_at_rest,
+        trends=view_trends(bundle, kept, fitted.doubt.view_noise_px),
     )
     result = replace(result, warnings=_warnings(result))
     return replace(result, calibration=replace(calibration, verdict=judge_calibration(result)))

@@ -44,6 +44,13 @@ MAX_HELD_OUT_RATIO = 1.5
 """Largest held-out error over the RMS of the fit. Poses from half of 24 corners cost 1.2; beyond 1.5 the lens follows
 the noise of its own pictures."""
 
+MAX_FOCAL_DRIFT = 0.005
+"""Largest change of the focal length from the first picture to the last, relative, if it stands out by
+``DRIFT_SIGMAS``: the focus moved, and no one lens describes all pictures."""
+
+DRIFT_SIGMAS = 4.0
+"""Deviations from which a drift is no chance."""
+
 MIN_TILT_RAD = 0.2
 """Tilt, rad, one board at least must exceed: under less, focal length and distance cannot be told apart."""
 
@@ -158,6 +165,12 @@ def _refusals(result: CalibrationResult) -> list[str]:
             f"the focal length is only known to {100 * relative:.1f} % (limit {100 * MAX_FOCAL_SIGMA:.1f} %), "
             "and every distance errs by as much"
         )
+    drift = _drift(result)
+    if drift and abs(drift[0]) > MAX_FOCAL_DRIFT:
+        said.append(
+            f"the focal length changes by {100 * drift[0]:+.2f} ± {100 * drift[1]:.2f} % from the first picture to the "
+            "last: the focus moved, switch autofocus off and take all pictures again"
+        )
     if result.max_tilt_rad < MIN_TILT_RAD:
         tilt, least = float(deg_from_rad(result.max_tilt_rad)), float(deg_from_rad(MIN_TILT_RAD))
         said.append(f"no board is tilted by more than {tilt:.0f} deg, at least one must exceed {least:.0f} deg")
@@ -172,6 +185,22 @@ def _refusals(result: CalibrationResult) -> list[str]:
 def _remarks(result: CalibrationResult) -> list[str]:
     """What does not decide but must be known."""
     said = []
+    drift = _drift(result)
+    if drift and abs(drift[0]) <= MAX_FOCAL_DRIFT:
+        said.append(
+            f"the focal length drifts by {100 * drift[0]:+.2f} ± {100 * drift[1]:.2f} % from the first picture to the "
+            "last: focus or temperature"
+        )
+    streaks = () if result.trends is None else result.trends.streaks
+    if streaks:
+        worst = streaks[0]
+        names = ", ".join(result.view_names[streak.view] for streak in streaks[:3])
+        more = f" and {len(streaks) - 3} more" if len(streaks) > 3 else ""
+        said.append(
+            f"residuals of {names}{more} lie along one direction ({worst.ratio:.1f} times, at "
+            f"{float(deg_from_rad(worst.direction_rad)):.0f} deg in {result.view_names[worst.view]}): board or camera "
+            "moved during the exposure, or rolling shutter"
+        )
     halves = result.split_half
     if halves is not None and WARN_HALVES_RATIO < halves.ratio <= MAX_HALVES_RATIO:
         said.append(
@@ -184,6 +213,14 @@ def _remarks(result: CalibrationResult) -> list[str]:
             f"{result.structure.neighbour_correlation:.2f}): board not flat, blur, or lens model"
         )
     return said
+
+
+def _drift(result: CalibrationResult) -> tuple[float, float] | None:
+    """Relative drift of the focal length with its deviation, when it stands out."""
+    trends = result.trends
+    if trends is None or abs(trends.drift) <= DRIFT_SIGMAS * trends.drift_sigma:
+        return None
+    return trends.drift, trends.drift_sigma
 
 
 def _next_pictures(result: CalibrationResult) -> tuple[str, ...]:
