@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 
 from uvgs_bench.camera.difference import LensDifference
-from uvgs_bench.report.figures import canvas, style
+from uvgs_bench.report.figures import style
+from uvgs_bench.report.maps import draw_map, picture_canvas
 from uvgs_bench.report.palette import FAINT, INK
 
 _DPI = 160
@@ -26,28 +28,27 @@ def difference_png(found: LensDifference, title: str) -> bytes:
     """
     length = np.linalg.norm(found.shift_px, axis=2)
     u, v = found.grid_px[:, :, 0], found.grid_px[:, :, 1]
+    width, height = float(u.max()) + 1.0, float(v.max()) + 1.0
     with style("lens-difference"):
-        figure = canvas(4.9 * (v.max() + 1.0) / (u.max() + 1.0) * 0.85 + 0.5)
-        axes = figure.add_subplot()
-        shown = axes.pcolormesh(u, v, length, cmap="cividis", vmin=0.0, shading="nearest")
+        figure, axes = picture_canvas(width, height)
+        draw_map(figure, axes, found.grid_px, length, "shift (px)")
         step_v, step_u = (max(1, size // _ARROWS) for size in length.shape)
         some = (slice(step_v // 2, None, step_v), slice(step_u // 2, None, step_u))
-        axes.quiver(
-            u[some], v[some], found.shift_px[some][..., 0], found.shift_px[some][..., 1], angles="xy", color="white",
-            width=0.003,
-        )  # fmt: skip
+        # Corners of the picture run away; their arrows are cut so that the others can be seen.
+        longest = max(float(np.nanpercentile(length[some], 80.0)), 1e-12)
+        arrows = found.shift_px[some] * np.minimum(1.0, longest / np.maximum(length[some], 1e-300))[..., None]
+        scale = longest / (width / _ARROWS)
+        options: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale, "width": 0.005}
+        options |= {"facecolor": "white", "edgecolor": INK, "linewidth": 0.4}
+        axes.quiver(u[some], v[some], arrows[..., 0], arrows[..., 1], **options)
         worst_u, worst_v = (float(value) for value in found.max_at_px)
         axes.plot(worst_u, worst_v, "x", color="white", ms=8, mew=2.0)
         axes.annotate(
-            f"{found.max_px:.3g} px", (worst_u, worst_v), color=INK, fontsize=8.5, ha="center", va="center",
+            f"worst {found.max_px:.3g} px", (worst_u, worst_v), color=INK, fontsize=8.5, ha="center", va="center",
             xytext=(0.15 * u.max() + 0.7 * worst_u, 0.15 * v.max() + 0.7 * worst_v),
             bbox={"facecolor": "white", "edgecolor": FAINT, "pad": 2.0},
         )  # fmt: skip
-        axes.set(aspect="equal", xlabel="column, px", ylabel="row, px", xlim=(u.min(), u.max()))
-        axes.set_ylim(v.max(), v.min())
-        axes.grid(False)
-        axes.set_title(title)
-        figure.colorbar(shown, ax=axes, label="shift, px", shrink=0.85)
+        axes.set_title(f"{title}\narrows: direction, length up to {longest:.2g} px")
         stream = io.BytesIO()
         figure.savefig(stream, format="png", dpi=_DPI, facecolor="white")
     return stream.getvalue()

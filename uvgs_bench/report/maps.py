@@ -16,30 +16,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-COLUMNS, ROWS = 41, 31
+_COLUMNS, _ROWS = 41, 31
 _WISHED_LEVELS, _MOST_LEVELS = 6, 9
 _BAR_IN = 1.0
 
 
 def map_grid(lens: Lens) -> FloatArray:
-    """Pixels a map is evaluated at, shape (ROWS * COLUMNS, 2), px."""
-    return picture_grid(lens, COLUMNS, ROWS)
+    """Pixels a map is evaluated at, in rows and columns, shape (H, W, 2), px."""
+    return picture_grid(lens, _COLUMNS, _ROWS).reshape(_ROWS, _COLUMNS, 2)
 
 
-def picture_canvas(lens: Lens) -> tuple[Canvas, Axes]:
+def picture_canvas(width_px: float, height_px: float) -> tuple[Canvas, Axes]:
     """An empty figure whose axes are the picture, pixel centres on whole numbers, rows downwards.
 
     Args:
-        lens: For the size of the picture.
+        width_px: Width of the picture, px.
+        height_px: Its height, px.
 
     Returns:
         Figure and axes.
     """
-    height_in = (WIDTH_IN - _BAR_IN) * lens.height_px / lens.width_px + 0.75
+    height_in = (WIDTH_IN - _BAR_IN) * height_px / width_px + 0.75
     figure = canvas(float(np.clip(height_in, 2.2, 5.5)))
     axes = figure.add_subplot()
-    axes.set_xlim(-0.5, lens.width_px - 0.5)
-    axes.set_ylim(lens.height_px - 0.5, -0.5)
+    axes.set_xlim(-0.5, width_px - 0.5)
+    axes.set_ylim(height_px - 0.5, -0.5)
     axes.set_aspect("equal")
     axes.set_xlabel("column (px)")
     axes.set_ylabel("row (px)")
@@ -47,25 +48,22 @@ def picture_canvas(lens: Lens) -> tuple[Canvas, Axes]:
     return figure, axes
 
 
-def draw_map(figure: Canvas, axes: Axes, lens: Lens, values: FloatArray, label: str) -> None:
+def draw_map(figure: Canvas, axes: Axes, grid_px: FloatArray, values: FloatArray, label: str) -> None:
     """Fill the picture with bands of values between round levels, light where they are large.
 
     Args:
         figure: The figure.
         axes: Its axes, from ``picture_canvas``.
-        lens: For the size of the picture.
-        values: At ``map_grid``, shape (ROWS * COLUMNS,), not negative; NaN leaves a hole.
+        grid_px: Pixels in rows and columns, shape (H, W, 2), px.
+        values: There, shape (H, W), not negative; NaN leaves a hole.
         label: Of the colour bar, with its unit.
     """
     from matplotlib.colors import BoundaryNorm
 
-    u = np.linspace(0.0, lens.width_px - 1.0, COLUMNS)
-    v = np.linspace(0.0, lens.height_px - 1.0, ROWS)
-    table = values.reshape(ROWS, COLUMNS)
-    levels = band_levels(table)
+    levels = band_levels(values)
     options: dict[str, Any] = {"levels": levels, "cmap": "cividis", "extend": "both"}
     options["norm"] = BoundaryNorm(levels, 256, extend="both")
-    shown = axes.contourf(u, v, np.ma.masked_invalid(table), **options)
+    shown = axes.contourf(grid_px[0, :, 0], grid_px[:, 0, 1], np.ma.masked_invalid(values), **options)
     bar = figure.colorbar(shown, ax=axes, label=label, shrink=0.92, ticks=levels, spacing="uniform")
     bar.ax.set_yticklabels([f"{level:g}" for level in levels])
 

@@ -54,7 +54,7 @@ def _corners(result: CalibrationResult) -> Figure:
         f"{covered.picture_radius_px:.0f} px from the principal point."
     )
     with style(key):
-        figure, axes = picture_canvas(lens)
+        figure, axes = picture_canvas(lens.width_px, lens.height_px)
         width, height = lens.width_px / columns, lens.height_px / rows
         for row, column in np.argwhere(covered.counts == 0):
             left, top = column * width - 0.5, row * height - 0.5

@@ -71,7 +71,7 @@ def _map(lens: Lens, halves: SplitHalf, values: FloatArray, key: str, unit: str,
     top = _MOST_RATIO if unit == "times" else high
     step_u = lens.width_px / len(np.unique(halves.grid_px[:, 0]))
     with style(key):
-        figure, axes = picture_canvas(lens)
+        figure, axes = picture_canvas(lens.width_px, lens.height_px)
         options: dict[str, Any] = {"cmap": "cividis", "vmin": 0.0, "vmax": top, "marker": "s", "linewidths": 0.0}
         # Marks as large as fit between their neighbours, in points.
         side = min(72.0 * 3.3 * step_u / lens.width_px, 26.0)

@@ -78,7 +78,7 @@ def _field(result: CalibrationResult, px: FloatArray, e: FloatArray) -> Figure:
         f"{typical:.3g} px; mean of a cell of at least {_FEWEST_IN_CELL} corners: longest {longest}."
     )
     with style(key):
-        figure, axes = picture_canvas(lens)
+        figure, axes = picture_canvas(lens.width_px, lens.height_px)
         shown = thinned(len(e))
         ends = np.stack([px[shown], px[shown] + magnification * e[shown]], axis=1)
         # One line with gaps draws a thousand vectors as fast as one.

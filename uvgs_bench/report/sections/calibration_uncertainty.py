@@ -25,7 +25,7 @@ def build(evidence: CalibrationEvidence) -> Section | None:
     calibration, result = evidence.calibration, evidence.result
     if calibration.joint_covariance is None:
         return None
-    px = map_grid(calibration.lens)
+    px = map_grid(calibration.lens).reshape(-1, 2)
     sigma_px = worst_sigma(projection_uncertainty(calibration, px))
     lateral_mm = mm_from_m(worst_sigma(lateral_uncertainty(calibration, px, _DISTANCE_M)))
     text = (
@@ -74,7 +74,8 @@ def _table(calibration: Calibration) -> Table:
 def _map(evidence: CalibrationEvidence, key: str, values: FloatArray, unit: str, words: str) -> Figure:
     calibration, result = evidence.calibration, evidence.result
     lens, verdict = calibration.lens, calibration.verdict
-    px = map_grid(lens)
+    grid_px = map_grid(lens)
+    px = grid_px.reshape(-1, 2)
     radius = np.linalg.norm(px - lens.parameters[2:4], axis=1)
     usable_px = 0.0 if verdict is None else verdict.radius_px
     centre = float(values[int(np.argmin(radius))])
@@ -84,8 +85,8 @@ def _map(evidence: CalibrationEvidence, key: str, values: FloatArray, unit: str,
         alt += f", {np.nanmax(values[radius <= usable_px]):.3g} {unit} at worst within the usable {usable_px:.0f} px"
     alt += f"; no ray in {100 * blind / len(values):.0f} % of the picture." if blind else "."
     with style(key):
-        figure, axes = picture_canvas(lens)
-        draw_map(figure, axes, lens, values, unit)
+        figure, axes = picture_canvas(lens.width_px, lens.height_px)
+        draw_map(figure, axes, grid_px, values.reshape(grid_px.shape[:2]), unit)
         covered_px = 0.0 if result is None else result.coverage.radius_px
         draw_circles(axes, lens, covered_px, usable_px)
         svg = svg_of(figure, key, alt)
