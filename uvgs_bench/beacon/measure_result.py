@@ -143,9 +143,12 @@ def _led_table(nominal: Beacon, leds_m: FloatArray, fit: Fit) -> tuple[LedResidu
         seen: NDArray[np.intp] = np.flatnonzero((s.led == i) & (fit.weight > 0.0))
         e = fit.residual_px[seen]
         widest, shift, shift_sigma = float("nan"), float("nan"), float("nan")
+        angle, along = np.empty(0), np.empty(0)
         if led.axis is not None and len(seen) >= 6:
             angle, by_axis = view_angles(fit.network, fit.state, seen, i, nominal)
             widest = float(angle.max())
+            # Seen along the axis, its picture is a point and has no direction.
+            along = np.einsum("ni,ni->n", e, by_axis) / np.maximum(np.linalg.norm(by_axis, axis=1), 1e-9)
             columns = np.stack([by_axis, by_axis * (1.0 - np.cos(angle))[:, None]], axis=2).reshape(-1, 2)
             normal = columns.T @ columns
             if np.linalg.cond(normal) < 1e8:
@@ -162,6 +165,8 @@ def _led_table(nominal: Beacon, leds_m: FloatArray, fit: Fit) -> tuple[LedResidu
                 shift,
                 shift_sigma,
                 float(deviation[i]),
+                read_only(angle),
+                read_only(along),
             )
         )
     return tuple(out)

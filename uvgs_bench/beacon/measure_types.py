@@ -7,6 +7,7 @@ from typing import Literal
 
 from uvgs_bench.beacon.frames import FrameChoice
 from uvgs_bench.beacon.geometry import Beacon
+from uvgs_bench.geometry import FloatArray
 
 By = Literal["board", "gantry", "free"]
 
@@ -83,7 +84,7 @@ class Distance:
     caliper_sigma_m: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LedResiduals:
     """How one LED fits.
 
@@ -97,6 +98,9 @@ class LedResiduals:
             a fixed point explains (shift times 1 - cos angle), m; NaN when the views cannot tell.
         shift_sigma_m: Its deviation, m.
         deviation_m: Measured minus nominal after laying most LEDs onto their nominal places, m.
+        angle_rad: Angle between its axis and the line of sight in each sighting used, shape (count,), rad; empty when
+            it has no axis or too few sightings.
+        along_axis_px: Residual of the same sightings along the picture of the axis, px; a wandering centre shows here.
     """
 
     name: str
@@ -107,6 +111,8 @@ class LedResiduals:
     shift_m: float
     shift_sigma_m: float
     deviation_m: float
+    angle_rad: FloatArray
+    along_axis_px: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
