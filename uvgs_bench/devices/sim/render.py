@@ -29,6 +29,7 @@ DEFAULT_DIAMETER_M = m_from_mm(3.0)
 # Points of a disc lie closer than this many standard deviations of the point spread, so that no ripple remains.
 _POINT_SPACING_SIGMA = 0.8
 _MAX_RINGS = 12
+_READ_OUT_PX = 1 << 16
 _LEAKED_COLOUR = 0.06
 _HUES_DEG = {"red": 0.0, "green": 120.0, "blue": 240.0}
 
@@ -164,15 +165,24 @@ def read_out(
     Returns:
         Values of the same shape, uint8, or uint16 for more than 8 bit.
     """
-    mean = light_dn * camera.gain_e_per_dn
+    light, gain = light_dn.reshape(-1), camera.gain_e_per_dn
     # From 100 electrons on a normal distribution is as good and much faster.
-    is_dim = bool(mean.min() < 100.0)
-    shot = rng.poisson(mean) if is_dim else mean + np.sqrt(mean) * rng.standard_normal(mean.shape)
-    electrons = np.minimum(shot, camera.full_well_e)
-    read = camera.read_noise_dn * rng.standard_normal(light_dn.shape)
+    is_dim = bool(light.min() * gain < 100.0)
     largest = (1 << camera.bit_depth) - 1
-    value = np.rint(np.clip(camera.black_dn + electrons / camera.gain_e_per_dn + read, 0, largest))
-    return value.astype(np.uint8) if camera.bit_depth == 8 else value.astype(np.uint16)
+    electrons = np.empty(light.size)
+    value: NDArray[np.uint8] | NDArray[np.uint16] = np.empty(light.size, dtype=np.uint8)
+    if camera.bit_depth > 8:
+        value = np.empty(light.size, dtype=np.uint16)
+    # Part by part: a whole picture in floats, six times over, would be most of the memory of a run.
+    parts = [slice(start, start + _READ_OUT_PX) for start in range(0, light.size, _READ_OUT_PX)]
+    for part in parts:
+        mean = light[part] * gain
+        shot = rng.poisson(mean) if is_dim else mean + np.sqrt(mean) * rng.standard_normal(mean.shape)
+        electrons[part] = np.minimum(shot, camera.full_well_e)
+    for part in parts:
+        read = camera.read_noise_dn * rng.standard_normal(electrons[part].shape)
+        value[part] = np.rint(np.clip(camera.black_dn + electrons[part] / gain + read, 0, largest))
+    return value.reshape(light_dn.shape)
 
 
 def disc_points(emitter: Emitter, rings: int) -> tuple[FloatArray, FloatArray]:
