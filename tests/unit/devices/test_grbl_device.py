@@ -11,6 +11,7 @@ from tests.helpers.grbl_ports import linear_axes
 from uvgs_bench.devices.clock import ScaledClock
 from uvgs_bench.devices.gantry import Axis, Envelope, open_gantry
 from uvgs_bench.devices.sim.grbl_device import RX_BYTES, GrblDevice
+from uvgs_bench.devices.sim.grbl_motors import Motors
 from uvgs_bench.devices.sim.protocol_sim import Serial
 from uvgs_bench.units import ns_from_s
 
@@ -64,16 +65,22 @@ def test_the_past_can_be_asked(host: Host) -> None:
     np.testing.assert_allclose(host.device.velocity_at(start_ns + ns_from_s(1.0)), [-0.05, 0, 0], atol=1e-9)
 
 
-def test_directions_and_stops(host: Host) -> None:
-    stops = host.device.stops_count(host.t_ns)
-    np.testing.assert_array_equal(host.device.last_direction(host.t_ns), [-1, -1, -1])
+def motors(host: Host) -> Motors:
+    return host.device.motions_until(host.t_ns)
+
+
+def test_motions_and_stops_are_counted(host: Host) -> None:
+    stops, number = motors(host).stops_count(host.t_ns / 1e9), motors(host).number(host.t_ns / 1e9)
     begin_ns = host.t_ns
     host.send("$J=G91X-10Y-10F3000\n", 5.0)
     host.send("$J=G91X5F3000\n", 5.0)
-    np.testing.assert_array_equal(host.device.last_direction(host.t_ns), [1, -1, -1])
-    np.testing.assert_array_equal(host.device.last_direction(begin_ns + ns_from_s(2.0)), [-1, -1, -1])
-    assert host.device.stops_count(host.t_ns) == stops + 2
-    assert host.device.stops_count(begin_ns + ns_from_s(0.1)) == stops
+    assert motors(host).number(host.t_ns / 1e9) == number + 2
+    assert motors(host).number(begin_ns / 1e9 + 2.0) == number + 1
+    # Homing leaves the carriage 1 mm off its switches.
+    np.testing.assert_allclose(motors(host).start(number + 1), [-1.0] * 3, atol=1e-9)
+    np.testing.assert_allclose(motors(host).start(number + 2), [-11.0, -11.0, -1.0], atol=1e-9)
+    assert motors(host).stops_count(host.t_ns / 1e9) == stops + 2
+    assert motors(host).stops_count(begin_ns / 1e9 + 0.1) == stops
 
 
 def test_a_new_power_up_forgets_the_position_but_moves_nothing(host: Host) -> None:

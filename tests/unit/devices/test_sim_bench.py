@@ -116,6 +116,23 @@ def moved(bench: SimulatedBench) -> SimulatedBench:
     return bench
 
 
+def test_backlash_is_a_dead_band(make) -> None:
+    """Reversing steps shorter than the play move nothing until they have taken it up together."""
+    bench = make(replace(PERFECT, backlash_mm=(0.1,)))
+    moved(bench)
+    t_s, seen = 300.0, []
+    for step_mm in (-0.2, 0.04, 0.04, 0.04, 0.04, -0.03, -0.03, -0.03, -0.03):
+        run(bench, f"$J=G91X{step_mm}F600\n", t_s)
+        t_s += 5.0
+        seen.append(bench.true_gantry_from_carriage(ns_from_s(t_s)).t_m[0] * 1000.0)
+    # mm; steps of 1/400 mm. Coming downwards the carriage stands half the play above its motor.
+    assert seen == pytest.approx(
+        [-100.15, -100.15, -100.15, -100.13, -100.09, -100.09, -100.09, -100.09, -100.11], abs=0.003
+    )
+    # The past is as it was, also when it is asked for later.
+    assert bench.true_gantry_from_carriage(ns_from_s(310.0)).t_m[0] * 1000.0 == pytest.approx(seen[1], abs=1e-9)
+
+
 def test_the_carriage_follows_the_controller_at_any_speed(make) -> None:
     slow, fast = (moved(make(TrueGantry(), speed=speed)) for speed in (1.0, 500.0))
     for t_s in (200.5, 201.0, 210.0):

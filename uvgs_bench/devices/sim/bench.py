@@ -11,10 +11,11 @@ from uvgs_bench.beacon.geometry import Beacon, Led
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.devices.clock import ScaledClock
 from uvgs_bench.devices.gantry.axes import Axis
+from uvgs_bench.devices.gantry.grbl_protocol import si_from_controller
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.geometry import FloatArray, Pose, read_only
-from uvgs_bench.units import m_from_mm, rad_from_mrad
+from uvgs_bench.units import m_from_mm, rad_from_mrad, s_from_ns
 
 if TYPE_CHECKING:
     from uvgs_bench.devices.bench import Bench
@@ -28,8 +29,8 @@ _numbers = itertools.count(1)
 class SimulatedBench:
     """The true bench. Where things are depends on bench time and the controller only, never on the speed.
 
-    Two simplifications: a move shorter than the backlash takes all of it up, and every stop draws a new stopping error
-    for every axis, which holds until the next stop.
+    Backlash is a dead band: the carriage stands still until a reversing motor has taken it up. One simplification:
+    every stop draws a new stopping error for every axis, which holds until the next stop.
 
     Args:
         truth: What is true.
@@ -68,6 +69,7 @@ class SimulatedBench:
         self._backlash_m = _per_linear_axis(truth.gantry.backlash_mm, axes)
         self._repeatability_m = _per_linear_axis(truth.gantry.repeatability_mm, axes)
         self._device: GrblDevice | None = None
+        self._carried: list[FloatArray] = []
         self.name = f"bench-{next(_numbers)}"
         _live[self.name] = self
 
@@ -98,15 +100,30 @@ class SimulatedBench:
         """Where the carriage truly is at an instant."""
         device = self.device
         motor = np.asarray(device.position_at(t_ns), dtype=np.float64)
-        direction = np.sign(np.asarray(device.last_direction(t_ns), dtype=np.float64))
-        return self.carriage_at(motor, direction, int(device.stops_count(t_ns)))
+        return self.carriage_at(motor, self._lag(motor, t_ns), device.motions_until(t_ns).stops_count(s_from_ns(t_ns)))
+
+    def _lag(self, motor: FloatArray, t_ns: int) -> FloatArray:
+        """Which share of half the backlash the carriage lags behind its motors, -1 to 1, shape (A,).
+
+        Every motion is monotonic on every axis, so that it moves the play from one end to the other at most once.
+        """
+        half = 0.5 * self._backlash_m
+        motors = self.device.motions_until(t_ns)
+        number = motors.number(s_from_ns(t_ns))
+        while len(self._carried) <= number:
+            start = si_from_controller(self.axes, motors.start(len(self._carried)))
+            before = self._carried[-1] if self._carried else start
+            self._carried.append(np.clip(before, start - half, start + half))
+        carried = np.clip(self._carried[number], motor - half, motor + half)
+        return np.divide(motor - carried, half, out=np.zeros_like(motor), where=half > 0.0)
 
     def carriage_at(self, motor: FloatArray, direction: FloatArray, stop_count: int) -> Pose:
         """Where the carriage truly is for a motor position, however it got there.
 
         Args:
             motor: Motor-side axis positions, shape (A,), m or rad.
-            direction: Sign of the last motion of each axis, shape (A,), 0 when it never moved.
+            direction: Which way each axis came, shape (A,): +1 upwards or -1 downwards with the play taken up, between
+                the two while the play is being taken up.
             stop_count: How many stops there were; seeds the stopping error.
 
         Returns:

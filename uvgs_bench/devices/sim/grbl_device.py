@@ -18,6 +18,7 @@ import numpy as np
 from uvgs_bench.devices.gantry.axes import Axis, AxisKind
 from uvgs_bench.devices.sim.grbl_gcode import OVERLONG, LineReader, Modal, Refused, read_line
 from uvgs_bench.devices.sim.grbl_homing import Homing, SwitchNotFound, homing_senses
+from uvgs_bench.devices.sim.grbl_motors import Motors
 from uvgs_bench.devices.sim.grbl_planner import PLANNER_BLOCKS, Planner
 from uvgs_bench.devices.sim.grbl_reports import Reporter, answers
 from uvgs_bench.devices.sim.grbl_settings import changed, factory_settings, settings_for_axes, si_positions
@@ -132,13 +133,10 @@ class GrblDevice:
         """How fast the motors turn at an instant, shape (A,), m/s or rad/s."""
         return si_positions(self.kinds, self._planner.motors.velocity(self._advance(s_from_ns(t_ns))))
 
-    def last_direction(self, t_ns: int) -> FloatArray:
-        """The sense in which each axis moves, or moved last before an instant: +1, -1, or 0 for never; shape (A,)."""
-        return self._planner.motors.last_direction(self._advance(s_from_ns(t_ns)))
-
-    def stops_count(self, t_ns: int) -> int:
-        """How many motions have come to rest by an instant since the device was made."""
-        return self._planner.motors.stops_count(self._advance(s_from_ns(t_ns)))
+    def motions_until(self, t_ns: int) -> Motors:
+        """The motors with the motions they made, brought forward to an instant."""
+        self._advance(s_from_ns(t_ns))
+        return self._planner.motors
 
     # --- the wire --------------------------------------------------------------------------------------------------
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 
-import numpy as np
-
 from uvgs_bench.devices.sim.grbl_motion import Motion, trapezoid
-from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.geometry import FloatArray
 
 _KEPT_MOTIONS = 4096
 
@@ -22,17 +20,14 @@ class Motors:
     def __init__(self, start: FloatArray) -> None:
         self.moving: Motion | None = None
         self._motions: list[Motion] = [trapezoid(start, start, 0.0, 1.0, 1.0)]
-        self._directions: list[FloatArray] = [read_only(np.zeros(len(start)))]
         self._dropped = 0
 
     def begin(self, motion: Motion) -> None:
         """Start a motion where the last one ended."""
         self.moving = motion
-        sense = np.sign(np.round(motion.unit, 9))
         self._motions.append(motion)
-        self._directions.append(read_only(np.where(sense == 0.0, self._directions[-1], sense)))
         if len(self._motions) > 2 * _KEPT_MOTIONS:
-            del self._motions[:_KEPT_MOTIONS], self._directions[:_KEPT_MOTIONS]
+            del self._motions[:_KEPT_MOTIONS]
             self._dropped += _KEPT_MOTIONS
 
     def amend(self, motion: Motion) -> None:
@@ -58,9 +53,13 @@ class Motors:
         """Velocities at an instant, shape (A,), per s."""
         return self._motions[self._index(t_s)].velocity(t_s)
 
-    def last_direction(self, t_s: float) -> FloatArray:
-        """Sense in which each axis moves or moved last, +1, -1, or 0 for never, shape (A,)."""
-        return self._directions[self._index(t_s)]
+    def number(self, t_s: float) -> int:
+        """Number of the motion that began last by an instant, from 0."""
+        return self._dropped + self._index(t_s)
+
+    def start(self, number: int) -> FloatArray:
+        """Where a motion began, shape (A,); of one that is forgotten, where the oldest known one began."""
+        return self._motions[max(0, number - self._dropped)].start
 
     def stops_count(self, t_s: float) -> int:
         """How many motions have ended by an instant."""
