@@ -25,7 +25,7 @@ from uvgs_bench.devices.gantry import Envelope, open_gantry
 from uvgs_bench.devices.sim import bench as sim_bench
 from uvgs_bench.devices.sim.grbl_device import GrblDevice
 from uvgs_bench.devices.sim.grbl_uvgs import UvgsDevice
-from uvgs_bench.errors import UvgsError
+from uvgs_bench.errors import EnvelopeError, UvgsError
 from uvgs_bench.geometry import Pose
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
@@ -156,6 +156,9 @@ def fault_run(seed: int, folder: Path, kinds: tuple[str, ...] = KINDS, strength:
                     else:
                         log.writer = writer = RunWriter.create(path, manifest, {})
                         run_sweep(planned, rig, writer)
+            except EnvelopeError as error:
+                # The way from home to the first waypoint meets the box, which only the controller's home tells.
+                return FaultRun("refused", str(error), attempt)
             except UvgsError as error:
                 ended, reason = ("resumed" if path.exists() else "refused"), reason or str(error)
             finally:
