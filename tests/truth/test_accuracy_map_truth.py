@@ -89,15 +89,17 @@ def test_the_command_forecasts_and_draws(tmp_path, capfd):
             main(["beacon", *(str(word) for word in words)])
         return int(caught.value.code or 0)
 
-    page, picture = tmp_path / "page.png", tmp_path / "picture.png"
-    uvgs("check", tmp_path / "beacon.toml", "--camera", tmp_path / "camera.yaml", "--page", page, "--json")
+    page, picture = tmp_path / "page", tmp_path / "picture.png"
+    uvgs("check", tmp_path / "beacon.toml", "--camera", tmp_path / "camera.yaml", "--report", page, "--json")
     record = json.loads(capfd.readouterr().out)
     assert np.array(record["position_sigma_mm"]).shape == (6, 7, 12)
     assert record["findings"][0].startswith("worst position ±")
-    assert page.read_bytes().startswith(b"\x89PNG")
+    shown = json.loads((page / "report.json").read_text(encoding="utf-8"))
+    worst_mm = next(f["number"]["value"] for f in shown["key_figures"] if f["label"] == "Position, worst view")
+    assert worst_mm == pytest.approx(np.nanmax(np.array(record["position_sigma_mm"], dtype=float)))
     assert uvgs("show", tmp_path / "beacon.toml", "--picture", picture) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert uvgs("show", tmp_path / "beacon.toml", "--picture", picture) == 2
     assert "exists already" in capfd.readouterr().err
-    assert uvgs("check", tmp_path / "beacon.toml", "--page", page) == 2
-    assert "--page: needs --camera" in capfd.readouterr().err
+    assert uvgs("check", tmp_path / "beacon.toml", "--report", page) == 2
+    assert "--report: needs --camera" in capfd.readouterr().err

@@ -72,7 +72,9 @@ def check(
     far: Annotated[float, typer.Option("--far", help="Farthest range, m.")] = 3.0,
     tilt: Annotated[float, typer.Option("--tilt", help="Widest tilt, degrees.")] = 45.0,
     sigma_px: Annotated[float, typer.Option("--sigma-px", min=1e-3, help="Deviation of a centroid, px.")] = 0.1,
-    page: Annotated[Path | None, typer.Option("--page", help="Draw one page of it: PNG, PDF or SVG.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Folder for report.html, report.pdf and report.json.")
+    ] = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -80,7 +82,7 @@ def check(
     from rich.markup import escape
 
     from uvgs_bench.beacon import check_beacon
-    from uvgs_bench.cli.console import emit_json, out
+    from uvgs_bench.cli.console import emit_json, out, print_path
     from uvgs_bench.errors import ExitCode
     from uvgs_bench.store.beacons import read_beacon
     from uvgs_bench.units import mm_from_m
@@ -94,13 +96,14 @@ def check(
         ]
     }
     lines: list[str] = []
+    files: dict[str, str] = {}
     if camera is not None:
         from uvgs_bench.cli.beacon_forecast import forecast
 
-        lines, more = forecast(beacon, camera, near, far, tilt, sigma_px, page, force)
-        record |= more
-    elif page is not None:
-        raise ConfigError("needs --camera", "--page")
+        lines, more, files = forecast(beacon, warnings, camera, near, far, tilt, sigma_px, report, force)
+        record |= more | {"report": files or None}
+    elif report is not None:
+        raise ConfigError("needs --camera", "--report")
     if as_json:
         emit_json(record)
     else:
@@ -110,4 +113,6 @@ def check(
             out.print("[green]no weakness found[/]")
         for line in lines:
             out.print(escape(line), soft_wrap=True)
+        for name, path in files.items():
+            print_path(name, path)
     raise typer.Exit(int(ExitCode.LIMITS_MISSED if warnings else ExitCode.DONE))

@@ -2,48 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from uvgs_bench.beacon import Beacon
-from uvgs_bench.errors import ConfigError
+from uvgs_bench.beacon.checks import BeaconWarning
 
 
 def forecast(
-    beacon: Beacon, camera: Path, near_m: float, far_m: float, tilt_deg: float, sigma_px: float, page: Path | None,
-    force: bool,
-) -> tuple[list[str], dict[str, object]]:  # fmt: skip
-    """Compute what the beacon can do with the camera, and draw it if asked.
+    beacon: Beacon, warnings: Sequence[BeaconWarning], camera: Path, near_m: float, far_m: float, tilt_deg: float,
+    sigma_px: float, report: Path | None, force: bool,
+) -> tuple[list[str], dict[str, object], dict[str, str]]:  # fmt: skip
+    """Compute what the beacon can do with the camera, and write its report if asked.
 
     Args:
         beacon: The beacon.
+        warnings: Weaknesses of the geometry itself, for the report.
         camera: Camera file.
         near_m: Nearest range, m.
         far_m: Farthest range, m.
         tilt_deg: Widest tilt, degrees.
         sigma_px: Deviation of a centroid, px.
-        page: Picture to write, or None.
+        report: Folder for the report, or None.
         force: Whether it may be replaced.
 
     Returns:
-        Lines for people, and a record.
+        Lines for people, a record, and format to file of the report.
 
     Raises:
-        ConfigError: An option says what cannot be, or the page exists.
+        ConfigError: An option says what cannot be, or the report exists.
     """
-    from uvgs_bench.report.beacon_page import write_beacon_page
-    from uvgs_bench.sessions.beacon_advice import advise, default_ranges, widest_tilt
+    from uvgs_bench.report import check_replaceable, write_document
+    from uvgs_bench.report.beacon_evidence import ForecastEvidence
+    from uvgs_bench.report.beacon_page import build_forecast_document
+    from uvgs_bench.sessions.beacon_advice import STEP_M, advise, default_ranges, widest_tilt
     from uvgs_bench.store.calibrations import read_calibration
     from uvgs_bench.units import deg_from_rad, mm_from_m
 
-    if page is not None and page.exists() and not force:
-        raise ConfigError("exists already; use --force to replace it", str(page))
+    if report is not None:
+        check_replaceable(report, force=force)
     calibration = read_calibration(camera)
     advice = advise(
         beacon, calibration, ranges_m=default_ranges(near_m, far_m), tilt_rad=widest_tilt(tilt_deg), sigma_px=sigma_px
     )
-    if page is not None:
-        write_beacon_page(page, beacon, advice.map, advice.lines, sigma_px)
     found = advice.map
+    files: dict[str, str] = {}
+    if report is not None:
+        lens = calibration.lens
+        notes = {
+            "camera": f"{calibration.camera_name}: {lens.model}, {lens.width_px} × {lens.height_px} px, "
+            f"fx {lens.fx_px:.3f} px",
+            "camera file": str(camera),
+        }
+        evidence = ForecastEvidence(
+            beacon, found, advice.gains, sigma_px, STEP_M, advice.lines, advice.is_safe, tuple(warnings), notes
+        )
+        written = write_document(build_forecast_document(evidence), report, force=force)
+        files = {name: str(path) for name, path in written.items()}
     record: dict[str, object] = {
         "sigma_px": sigma_px,
         "is_safe": advice.is_safe,
@@ -67,4 +82,4 @@ def forecast(
             for gain in advice.gains
         ],
     }
-    return list(advice.lines), record
+    return list(advice.lines), record, files

@@ -49,6 +49,9 @@ def measure(
     ] = 0.2,
     fixed_lens: Annotated[bool, typer.Option("--fixed-lens", help="Take the camera file as exact.")] = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many pictures.")] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Folder for report.html, report.pdf and report.json.")
+    ] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -66,6 +69,10 @@ def measure(
 
     if out.exists() and not force:
         raise ConfigError("exists already; use --force to replace it", str(out))
+    if report is not None:
+        from uvgs_bench.report import check_replaceable
+
+        check_replaceable(report, force=force)
     run = read_run(Path(source)) if is_run(Path(source)) else None
     if run is None and (camera is None or nominal is None):
         raise ConfigError("is no run folder, so --camera and --nominal are needed", source)
@@ -101,11 +108,18 @@ def measure(
                 board=declared, nominal_error_m=error_m, name=name, sink=sink,
             )  # fmt: skip
     write_beacon(out, result.measurement.beacon, force=force, comment=_provenance(result, source))
+    files: dict[str, str] = {}
+    if report is not None:
+        from uvgs_bench.cli.beacon_report import write_measurement_report
+
+        files = write_measurement_report(report, result, meant, calibration, source, force=force)
     if as_json:
-        emit_json(_record(result, config) | {"file": str(out)})
+        emit_json(_record(result, config) | {"file": str(out), "report": files or None})
         return
     _print(result)
     print_path("beacon", out)
+    for kind, path in files.items():
+        print_path(kind, path)
 
 
 def _caliper(text: str, beacon: Beacon, sigma_m: float) -> Caliper:

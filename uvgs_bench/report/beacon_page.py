@@ -1,22 +1,135 @@
-"""Pictures of a beacon: its LEDs and its frame, and one page of what it can do."""
+"""Reports about a beacon: what was measured, what may be expected of it, and a picture of it."""
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from uvgs_bench import __version__
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.errors import ConfigError
+from uvgs_bench.report.beacon_drawing import VIEWS, draw_view
+from uvgs_bench.report.beacon_evidence import ForecastEvidence, MeasurementEvidence
+from uvgs_bench.report.cells import Interval, Number, State, decimals_for
+from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
+from uvgs_bench.report.figures import style
+from uvgs_bench.report.sections import FORECAST_SECTIONS, MEASUREMENT_SECTIONS
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
-if TYPE_CHECKING:
-    from uvgs_bench.beacon.accuracy_map import AccuracyMap
+# Normal law: two-sided 95 %.
+_NORMAL_95 = 1.96
+
+
+def build_measurement_document(evidence: MeasurementEvidence) -> Document:
+    """Build the report of a measured beacon. It depends on the evidence alone.
+
+    Args:
+        evidence: The measurement.
+
+    Returns:
+        The document.
+    """
+    m = evidence.measurement
+    worst = max(m.distances, key=lambda d: d.sigma_m)
+    off = max(m.leds, key=lambda led: led.deviation_m)
+    decimals = decimals_for([_NORMAL_95 * mm_from_m(worst.sigma_m)], default=3)
+    value_mm, half_mm = mm_from_m(worst.distance_m), _NORMAL_95 * mm_from_m(worst.sigma_m)
+    interval = Interval(value_mm - half_mm, value_mm + half_mm, decimals, "mm")
+    figures = (
+        KeyFigure(
+            "Least certain distance", Number(value_mm, decimals, "mm"), interval, f"{worst.first} to {worst.second}"
+        ),
+        KeyFigure("Its deviation, 1 sigma", Number(mm_from_m(worst.sigma_m), 4, "mm")),
+        KeyFigure("Farthest off nominal", Number(mm_from_m(off.deviation_m), 3, "mm"), note=f"LED {off.name}"),
+        KeyFigure("Centroid noise per axis", Number(m.sigma_px, 3, "px"), note="as found from the residuals"),
+        KeyFigure("Views", Number(m.view_count, 0), note=f"{evidence.named} of {evidence.captures} pictures named"),
+    )
+    said = (
+        f"The least certain distance, {worst.first} to {worst.second}, is known to ± {mm_from_m(worst.sigma_m):.4f} mm"
+    )
+    return Document(
+        title=f"Measured beacon {m.beacon.name}",
+        subtitle=f"{len(m.beacon.leds)} LEDs, by {m.by}, {m.view_count} views",
+        created_utc=evidence.created_utc,
+        verdict="none",
+        headline=f"{said} (1 sigma). Scale: {m.scale_source}. Frame: {m.gauge}.",
+        banners=tuple(Alert("warning", text) for text in m.warnings),
+        key_figures=figures,
+        sections=_sections(MEASUREMENT_SECTIONS, evidence),
+        provenance=_provenance(m.beacon, evidence.notes),
+        genre="beacon report",
+        subject="measurement",
+        verdict_word="measured",
+    )
+
+
+def build_forecast_document(evidence: ForecastEvidence) -> Document:
+    """Build the report of what a beacon can do with a camera. It depends on the evidence alone.
+
+    Args:
+        evidence: The forecast.
+
+    Returns:
+        The document.
+    """
+    found = evidence.found
+    state: State = "pass"
+    word, headline = "sound", "Labels are told apart at every range and view looked at, and no LEDs merge."
+    if evidence.warnings:
+        state, word = "fail", "weak"
+        headline = "; ".join(warning.text for warning in evidence.warnings) + "."
+    elif not evidence.is_safe:
+        state, word = "inconclusive", "ambiguous in places"
+        headline = "At some ranges and views labels are not told apart safely, or LEDs merge: see the findings."
+    position_mm = float(mm_from_m(np.nanmax(found.position_sigma_m)))
+    attitude_deg = float(deg_from_rad(np.nanmax(found.attitude_sigma_rad)))
+    margin = Number(float(np.nanmin(found.margin_px)), 3, "px")
+    figures = (
+        KeyFigure("Position, worst view", Number(position_mm, 3, "mm"), note="1 sigma"),
+        KeyFigure("Attitude, worst view", Number(attitude_deg, 3, "deg"), note="1 sigma"),
+        KeyFigure("Nearest other labels", margin, note="RMS residual of the best wrong labels"),
+        KeyFigure("Centroid noise assumed", Number(evidence.sigma_px, 3, "px"), note="per axis, 1 sigma"),
+    )
+    near, far = float(found.range_m[0]), float(found.range_m[-1])
+    return Document(
+        title=f"Forecast of beacon {evidence.beacon.name}",
+        subtitle=f"{len(evidence.beacon.leds)} LEDs, {near:g} to {far:g} m, tilts to "
+        f"{deg_from_rad(float(found.tilt_rad[-1])):.0f} deg",
+        created_utc="",
+        verdict=state,
+        headline=f"{headline[0].upper()}{headline[1:]}",
+        banners=(),
+        key_figures=figures,
+        sections=_sections(FORECAST_SECTIONS, evidence),
+        provenance=_provenance(evidence.beacon, evidence.notes),
+        genre="beacon report",
+        subject="forecast",
+        verdict_word=word,
+    )
+
+
+def _sections(table: Mapping[str, str], evidence: object) -> tuple[Section, ...]:
+    found = []
+    for target in table.values():
+        module, function = target.split(":")
+        build: Any = getattr(importlib.import_module(module), function)
+        section = build(evidence)
+        assert section is None or isinstance(section, Section)
+        if section is not None:
+            found.append(section)
+    return tuple(found)
+
+
+def _provenance(beacon: Beacon, notes: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    return (("beacon", beacon.name), *notes.items(), ("report made by", f"uvgs_bench {__version__}"))
 
 
 def write_beacon_picture(path: Path, beacon: Beacon) -> None:
-    """Draw the LEDs with their deviations and the frame, from the front and from the side.
+    """Draw LEDs and frame, from the front and from the side.
 
     Args:
         path: PNG, PDF or SVG file.
@@ -25,63 +138,23 @@ def write_beacon_picture(path: Path, beacon: Beacon) -> None:
     Raises:
         ConfigError: The file cannot be written.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
-    _draw_views(figure.subplots(1, 2), beacon)
-    figure.suptitle(_title(beacon))
-    _save(figure, path)
-
-
-def write_beacon_page(path: Path, beacon: Beacon, found: AccuracyMap, lines: tuple[str, ...], sigma_px: float) -> None:
-    """Draw one page: the beacon, maps over range and tilt (worst side), blob sizes, and the findings in words.
-
-    Args:
-        path: PNG, PDF or SVG file.
-        beacon: The beacon.
-        found: Its map.
-        lines: Findings.
-        sigma_px: Deviation of a centroid, px.
-
-    Raises:
-        ConfigError: The file cannot be written.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 13.0), layout="constrained")
-    axes = figure.subplots(3, 2)
-    _draw_views(axes[0], beacon)
-    tilt_deg = [f"{deg_from_rad(float(tilt)):.0f}" for tilt in found.tilt_rad]
-    maps = (
-        (axes[1, 0], mm_from_m(_worst(found.position_sigma_m, np.nanmax)), "position, 1 sigma, mm (worst side)"),
-        (axes[1, 1], deg_from_rad(_worst(found.attitude_sigma_rad, np.nanmax)), "attitude, 1 sigma, deg (worst side)"),
-        (axes[2, 0], _worst(found.margin_px, np.nanmin), "nearest other labels, px (worst side)"),
-    )
-    for axis, values, title in maps:
-        shown = axis.imshow(values, aspect="auto", origin="lower", cmap="viridis")
-        axis.set_xticks(range(len(tilt_deg)), tilt_deg)
-        axis.set_yticks(range(len(found.range_m)), [f"{r:.2f}" for r in found.range_m])
-        axis.set(title=title, xlabel="tilt, deg", ylabel="range, m")
-        for (k, i), value in np.ndenumerate(values):
-            if np.isfinite(value):
-                axis.text(i, k, f"{value:.3g}", ha="center", va="center", fontsize=7, color="white")
-        figure.colorbar(shown, ax=axis)
-    low = np.array([np.nanmin(row) if np.isfinite(row).any() else np.nan for row in found.separation_px])
-    axes[2, 1].loglog(found.range_m, low, "o-", label="nearest two LEDs, worst view")
-    axes[2, 1].loglog(found.range_m, found.diameter_px, "s--", label="diameter of an LED, without blur")
-    axes[2, 1].set(title="size and overlap", xlabel="range, m", ylabel="px")
-    axes[2, 1].legend()
-    figure.suptitle(f"{_title(beacon)}; centroids ± {sigma_px:g} px\n" + "\n".join(lines), fontsize=9, ha="center")
-    _save(figure, path)
-
-
-def _worst(values: np.ndarray[Any, np.dtype[np.float64]], choose: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Worst over azimuths, (K, T); NaN where nothing is seen."""
-    out = np.full(values.shape[:2], np.nan)
-    for at in np.ndindex(out.shape):
-        if np.isfinite(values[at]).any():
-            out[at] = choose(values[at])
-    return out
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise ConfigError("expected a .png, .pdf or .svg file", str(path))
+    with style(f"beacon-{beacon.name}"):
+        figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+        FigureCanvasAgg(figure)
+        for axes, (_, pair, words) in zip(figure.subplots(1, 2), VIEWS, strict=True):
+            draw_view(axes, beacon, pair)
+            axes.set_title(words)
+        figure.suptitle(_title(beacon).replace("$", r"\$"))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            figure.savefig(path, dpi=110, facecolor="white")
+        except OSError as error:
+            raise ConfigError(f"cannot be written: {error.strerror or error}", str(path)) from None
 
 
 def _title(beacon: Beacon) -> str:
@@ -89,32 +162,3 @@ def _title(beacon: Beacon) -> str:
         return f"{beacon.name}: not measured"
     worst = float(np.sqrt(np.diag(beacon.covariance_m2).max()))
     return f"{beacon.name}: measured, coordinates within ± {mm_from_m(worst):.3f} mm (1 sigma)"
-
-
-def _draw_views(axes: Any, beacon: Beacon) -> None:
-    p = mm_from_m(beacon.positions_m)
-    size = float(np.ptp(p, axis=0).max())
-    for axis, (a, b), title in ((axes[0], (0, 1), "from the front"), (axes[1], (2, 1), "from the side")):
-        for i in range(len(p)):
-            for j in range(i + 1, len(p)):
-                axis.plot(p[[i, j], a], p[[i, j], b], color="0.8", lw=1, zorder=1)
-        axis.scatter(p[:, a], p[:, b], color="tab:orange", zorder=3)
-        for led, place in zip(beacon.leds, p, strict=True):
-            axis.annotate(led.name, (place[a], place[b]), xytext=(5, 5), textcoords="offset points")
-        for k, colour in ((a, "tab:red"), (b, "tab:green")):
-            tip = 0.25 * size * np.eye(3)[k]
-            axis.annotate("", (tip[a], tip[b]), (0.0, 0.0), arrowprops={"arrowstyle": "->", "color": colour})
-            axis.text(tip[a], tip[b], "xyz"[k], color=colour)
-        axis.set(title=title, xlabel=f"{'xyz'[a]}, mm", ylabel=f"{'xyz'[b]}, mm")
-        axis.set_aspect("equal", "datalim")
-        axis.invert_yaxis()
-
-
-def _save(figure: Any, path: Path) -> None:
-    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise ConfigError("expected a .png, .pdf or .svg file", str(path))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise ConfigError(f"cannot be written: {error.strerror or error}", str(path)) from None

@@ -257,7 +257,8 @@ class Document:
     Args:
         title: Title.
         subtitle: Which run, in one line.
-        created_utc: When the run was made (never when the report was built: the same run gives the same bytes).
+        created_utc: When the run was made (never when the report was built: the same run gives the same bytes); empty
+            where the report follows from its inputs alone.
         verdict: The overall verdict.
         headline: The verdict as one sentence.
         banners: What must be read before anything else: simulated, interrupted.

@@ -14,9 +14,11 @@ from uvgs_bench.errors import ConfigError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.units import deg_from_rad, m_from_mm, mm_from_m, rad_from_deg
 
+STEP_M = m_from_mm(10.0)
+"""By how much single LEDs are moved to see what it would bring, m."""
+
 # Labels whose rival fits worse than this many centroid deviations are told apart.
 SAFE_DEVIATIONS = 4.0
-_STEP_M = m_from_mm(10.0)
 _TILTS = 7
 _AZIMUTHS = 12
 # Spots nearer than their width merge; the point spread adds some three pixels to the LED itself.
@@ -74,12 +76,12 @@ def advise(
         raise ConfigError("at none of these ranges and views are four LEDs in the picture", beacon.name, "leds")
     usable = [k for k in range(len(ranges_m)) if np.isfinite(found.margin_px[k]).any()]
     middle = usable[len(usable) // 2]
-    moves = gains(beacon, lens, fit, sigma_px, found, middle, _STEP_M)
+    moves = gains(beacon, lens, fit, sigma_px, found, middle, STEP_M)
     lines, is_safe = _lines(found, lens, sigma_px)
     best = moves[0] if moves else None
     if best is not None and best.attitude_ratio < 0.95:
         lines.append(
-            f"moving {best.led} by {mm_from_m(_STEP_M):.0f} mm along {best.direction} would change the attitude "
+            f"moving {best.led} by {mm_from_m(STEP_M):.0f} mm along {best.direction} would change the attitude "
             f"deviation at {ranges_m[middle]:.2f} m by {best.attitude_ratio - 1.0:+.0%}, position "
             f"{best.position_ratio - 1.0:+.0%}, least margin to {best.margin_px:.2f} px"
         )

@@ -29,4 +29,15 @@ CALIBRATION_SECTIONS: dict[str, str] = {
 }  # fmt: skip
 """The same for calibrations: ``build(evidence) -> Section | None``."""
 
-__all__ = ["CALIBRATION_SECTIONS", "SECTIONS"]
+MEASUREMENT_SECTIONS: dict[str, str] = {
+    key: f"uvgs_bench.report.sections.beacon_{key}:build"
+    for key in ("distances", "leds", "angles", "pictures", "definitions")
+}
+"""The same for measured beacons."""
+
+FORECAST_SECTIONS: dict[str, str] = {
+    key: f"uvgs_bench.report.sections.beacon_{key}:build" for key in ("forecast", "geometry", "definitions")
+}
+"""The same for beacons looked at before they are trusted."""
+
+__all__ = ["CALIBRATION_SECTIONS", "FORECAST_SECTIONS", "MEASUREMENT_SECTIONS", "SECTIONS"]
