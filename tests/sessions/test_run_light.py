@@ -127,7 +127,7 @@ def test_a_camera_that_obeys_late_and_says_nothing_settles_without_swinging(tmp_
 def test_limits_of_camera_and_user_are_kept_or_refused(tmp_path, capfd):
     bench = write_bench(tmp_path, exposure_ms=0.4)
     out = tmp_path / "p.csv"
-    words = (f"sim:{bench}?count=4", *setup(tmp_path), "--out", out, "--auto-exposure", "--longest-exposure-ms")
+    words = (f"sim:{bench}?count=4", *setup(tmp_path), "--out", out, "--auto-exposure", "--max-exposure-ms")
     assert uvgs(*words, 1.0) == 0
     assert [row.split(",")[-2] for row in out.read_text().splitlines()[1:]] == ["0.0004", "0.001", "0.001", "0.001"]
     assert uvgs(*words, 0.005, "--force") == 2

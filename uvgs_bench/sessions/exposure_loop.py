@@ -49,7 +49,7 @@ class ExposureLoop:
             raise ConfigError(
                 f"{ms_from_s(policy.longest_s):g} ms is not longer than the camera's shortest exposure, "
                 f"{ms_from_s(shortest_s):g} ms",
-                key="longest exposure",
+                key="--max-exposure-ms",
             )
         settling = max(policy.settling, camera.settling_captures)
         self.policy = replace(policy, shortest_s=shortest_s, longest_s=longest_s, settling=settling)
