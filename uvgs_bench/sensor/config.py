@@ -37,8 +37,8 @@ class UvgsConfig:
         max_rms_px: Largest root mean square residual of an accepted fit, px per axis.
         emission_slack_deg: How far beyond its half angle an LED may still be seen, degrees.
         solver: Name in ``SOLVERS``.
-        max_iterations: Most iterations of the solver. Of 6000 random views each (60 degree cone, 0.5 to 3 m) 30 would cut
-            off 0.02 % at 0.5 px of noise, 0.6 % at 1 px and 4 % at 2 px; 100 cuts off none, none and 0.2 %.
+        max_iterations: Most iterations of the solver. Of random views (60 degree cone, 0.5 to 3 m, 6000 per noise)
+            30 would cut off 0.02 % at 0.5 px, 0.6 % at 1 px and 4 % at 2 px; 100 cuts off none, none and 0.2 %.
         track: Whether a prior lets the sensor look in windows around the predicted LEDs first.
         track_captures: After so many captures solved from windows the whole picture is searched again.
         max_speed_mps: The beacon moves no faster than this before the camera, m/s; sizes the windows.
