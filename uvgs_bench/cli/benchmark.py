@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -48,8 +49,9 @@ def pipeline(
     parameters = UvgsConfig() if config is None else read_document(config, UvgsConfig)
     with progress_sink(quiet=quiet) as sink:
         result = benchmark_pipeline(bench, parameters, sink, count=captures, seed=seed)
-    rows = (*result.stages, result.total, result.tracked, result.peer)
+    processes = {"first_pose": result.first_pose, "run": result.run}
     if as_json:
+        rows = [row for row in (*result.stages, *result.wholes, result.peer) if row.median_s > 0.0]
         emit_json({
             "picture_px": [result.width_px, result.height_px],
             "captures": result.captures,
@@ -57,8 +59,10 @@ def pipeline(
             "seed": seed,
             "stages": {row.name: {"p10_s": row.p10_s, "median_s": row.median_s, "p99_s": row.p99_s} for row in rows},
             "tracked_poses": result.tracked_poses,
+            "crowded_poses": result.crowded_poses,
             "peer_found": result.peer_found,
-            "peer_over_uvgs": result.ratio,
+            "peer_over_uvgs": {row.name: result.ratio(row) for row in result.wholes if row in rows},
+            "processes": {name: None if cost is None else asdict(cost) for name, cost in processes.items()},
         })  # fmt: skip
         return
     table = Table(
@@ -67,12 +71,22 @@ def pipeline(
         pad_edge=False,
     )
     table.add_column("stage")
-    table.add_column("p10 ms", justify="right")
-    table.add_column("median ms", justify="right")
-    table.add_column("p99 ms", justify="right")
-    for row in rows:
-        table.add_row(
-            row.name, f"{ms_from_s(row.p10_s):.3f}", f"{ms_from_s(row.median_s):.3f}", f"{ms_from_s(row.p99_s):.3f}"
-        )
+    for name in ("p10 ms", "median ms", "p99 ms", f"{result.peer.name} /"):
+        table.add_column(name, justify="right")
+    for row in (*result.stages, *result.wholes, result.peer):
+        ratio = f"{result.ratio(row):.1f}" if row in result.wholes else ""
+        times = (f"{ms_from_s(value):.3f}" for value in (row.p10_s, row.median_s, row.p99_s))
+        table.add_row(row.name, *times, ratio)
     out.print(table)
-    out.print(f"cv2.aruco (its marker found in {result.peer_found}) takes {result.ratio:.1f} times as long")
+    out.print(
+        f"{result.tracked_poses} captures were tracked, {result.crowded_poses} solved among other lights; "
+        f"{result.peer.name} found its marker in {result.peer_found}"
+    )
+    for name, cost in (("first pose", result.first_pose), ("a run", result.run)):
+        if cost is None:
+            out.print(f"{name}: failed")
+        else:
+            out.print(
+                f"{name}, in a process of its own: {cost.wall_s:.2f} s, {cost.cpu_s:.2f} s on the processor; "
+                + (f"{cost.peak_bytes / 1e6:.0f} MB resident at most" if cost.peak_bytes else "memory not known")
+            )
