@@ -119,8 +119,13 @@ def test_free_pictures_with_calipers_write_a_beacon_file(folder, tmp_path, capfd
     out = tmp_path / "measured.toml"
     length_mm = float(np.linalg.norm(TRUE.positions_m[0] - TRUE.positions_m[1])) * 1e3
     hand = ("--caliper", f"led0-led1={length_mm:.3f}")
-    assert uvgs("measure", f"images:{folder / 'pictures'}", *given(folder), "--out", out, "--json", *hand) == 0
+    page = ("--report", tmp_path / "page")
+    assert uvgs("measure", f"images:{folder / 'pictures'}", *given(folder), "--out", out, "--json", *hand, *page) == 0
     record = json.loads(capfd.readouterr().out)
+    shown = json.loads((tmp_path / "page" / "report.json").read_text(encoding="utf-8"))
+    worst_mm = next(f["number"]["value"] for f in shown["key_figures"] if f["label"] == "Its deviation, 1 sigma")
+    assert worst_mm == max(row["sigma_mm"] for row in record["distances"])
+    assert record["report"]["pdf"] == str(tmp_path / "page" / "report.pdf")
     assert record["scale_source"] == "1 caliper distances"
     beacon = read_beacon(out)
     assert beacon.name == "measured"

@@ -10,7 +10,7 @@ from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.cells import Cell, Number
 from uvgs_bench.report.document import Column, Figure, Table
-from uvgs_bench.report.figures import canvas, series, style, svg_of
+from uvgs_bench.report.figures import canvas, label_of, series, style, svg_of
 from uvgs_bench.report.palette import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
@@ -104,9 +104,9 @@ def draw_view(axes: Axes, beacon: Beacon, pair: tuple[int, int], nominal_m: Floa
         q = mm_from_m(nominal_m)
         axes.plot(q[:, a], q[:, b], "+", color=INK, ms=9, mew=1.3)
     for led, place in zip(beacon.leds, p, strict=True):
-        # A dollar sign would open a formula.
-        note = led.name.replace("$", r"\$")
-        axes.annotate(note, (place[a], place[b]), (7, 6), textcoords="offset points", color=INK, fontsize=8.5)
+        axes.annotate(
+            label_of(led.name), (place[a], place[b]), (7, 6), textcoords="offset points", color=INK, fontsize=8.5
+        )
     for k in pair:
         tip = 0.25 * size * np.eye(3)[k]
         arrow = {"arrowstyle": "->", "color": _AXIS_COLOURS[k], "lw": 1.6}

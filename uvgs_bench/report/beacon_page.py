@@ -16,7 +16,7 @@ from uvgs_bench.report.beacon_drawing import VIEWS, draw_view
 from uvgs_bench.report.beacon_evidence import ForecastEvidence, MeasurementEvidence
 from uvgs_bench.report.cells import Interval, Number, State, decimals_for
 from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
-from uvgs_bench.report.figures import style
+from uvgs_bench.report.figures import label_of, style
 from uvgs_bench.report.sections import FORECAST_SECTIONS, MEASUREMENT_SECTIONS
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
@@ -55,7 +55,7 @@ def build_measurement_document(evidence: MeasurementEvidence) -> Document:
         title=f"Measured beacon {m.beacon.name}",
         subtitle=f"{len(m.beacon.leds)} LEDs, by {m.by}, {m.view_count} views",
         created_utc=evidence.created_utc,
-        verdict="none",
+        verdict="inconclusive" if m.warnings else "none",
         headline=f"{said} (1 sigma). Scale: {m.scale_source}. Frame: {m.gauge}.",
         banners=tuple(Alert("warning", text) for text in m.warnings),
         key_figures=figures,
@@ -63,7 +63,7 @@ def build_measurement_document(evidence: MeasurementEvidence) -> Document:
         provenance=_provenance(m.beacon, evidence.notes),
         genre="beacon report",
         subject="measurement",
-        verdict_word="measured",
+        verdict_word="measured, with warnings" if m.warnings else "measured",
     )
 
 
@@ -149,7 +149,7 @@ def write_beacon_picture(path: Path, beacon: Beacon) -> None:
         for axes, (_, pair, words) in zip(figure.subplots(1, 2), VIEWS, strict=True):
             draw_view(axes, beacon, pair)
             axes.set_title(words)
-        figure.suptitle(_title(beacon).replace("$", r"\$"))
+        figure.suptitle(label_of(_title(beacon), 90))
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             figure.savefig(path, dpi=110, facecolor="white")

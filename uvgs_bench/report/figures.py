@@ -116,6 +116,13 @@ def svg_of(figure: Canvas, key: str, alt: str) -> str:
     return f'{head} role="img" aria-label="{label}">{rest}'
 
 
+def label_of(name: str, most: int = 16) -> str:
+    """A name people gave, safe and short enough for a drawing; the page beside it has it whole."""
+    short = name if len(name) <= most else f"{name[: most - 1]}…"
+    # A dollar sign would open a formula.
+    return short.replace("$", r"\$")
+
+
 def legend_above(axes: Axes, columns: int) -> None:
     """Put the legend above the axes, where it covers no point."""
     place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "borderaxespad": 0.0}

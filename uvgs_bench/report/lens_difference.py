@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from uvgs_bench.camera.difference import LensDifference
-from uvgs_bench.report.figures import style
+from uvgs_bench.report.figures import label_of, style
 from uvgs_bench.report.maps import draw_map, picture_canvas
 from uvgs_bench.report.palette import FAINT, INK
 
@@ -48,7 +48,7 @@ def difference_png(found: LensDifference, title: str) -> bytes:
             xytext=(0.15 * u.max() + 0.7 * worst_u, 0.15 * v.max() + 0.7 * worst_v),
             bbox={"facecolor": "white", "edgecolor": FAINT, "pad": 2.0},
         )  # fmt: skip
-        axes.set_title(f"{title}\narrows: direction, length up to {longest:.2g} px")
+        axes.set_title(f"{label_of(title, 60)}\narrows: direction, length up to {longest:.2g} px")
         stream = io.BytesIO()
         figure.savefig(stream, format="png", dpi=_DPI, facecolor="white")
     return stream.getvalue()

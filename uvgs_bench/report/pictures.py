@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.geometry import FloatArray
+from uvgs_bench.report.figures import label_of
 
 _SIDE_IN = 2.6
 _WIDE_IN = 3.6
@@ -90,7 +91,9 @@ def overlay_png(
     axes.plot(*expected_px.reshape(-1, 2).T, "+", color="#ff7a1a", ms=9, mew=1.2, linestyle="none")
     for name, (x, y) in zip(names, expected_px.reshape(-1, 2), strict=False):
         if np.isfinite([x, y]).all() and left <= x < right and top <= y < bottom:
-            axes.annotate(name, (x, y), (7, 7), textcoords="offset points", color="white", fontsize=7, clip_on=True)
+            axes.annotate(
+                label_of(name), (x, y), (7, 7), textcoords="offset points", color="white", fontsize=7, clip_on=True
+            )
     axes.set_xlim(left - 0.5, right - 0.5)
     axes.set_ylim(bottom - 0.5, top - 0.5)
     buffer = io.BytesIO()

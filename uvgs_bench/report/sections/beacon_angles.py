@@ -7,12 +7,12 @@ import numpy as np
 from uvgs_bench.beacon.measure_types import LedResiduals
 from uvgs_bench.report.beacon_evidence import MeasurementEvidence
 from uvgs_bench.report.document import Block, Figure, Paragraph, Section
-from uvgs_bench.report.figures import canvas, series, style, svg_of, thinned
+from uvgs_bench.report.figures import canvas, label_of, series, style, svg_of, thinned
 from uvgs_bench.report.palette import BLUE, FAINT, ORANGE
 from uvgs_bench.units import deg_from_rad
 
 _BINS = 5
-_FEWEST = 5
+_FEWEST = 3
 
 
 def build(evidence: MeasurementEvidence) -> Section | None:
@@ -58,7 +58,7 @@ def _drawing(led: LedResiduals, number: int, reach_px: float, evidence: Measurem
         axes.set_xlim(left=0.0)
         axes.set_xlabel("angle of view (deg)")
         axes.set_ylabel("along axis (px)")
-        axes.set_title(f"LED {led.name}".replace("$", r"\$"))
+        axes.set_title(f"LED {label_of(led.name)}")
         svg = svg_of(figure, key, alt)
     caption = f"LED {led.name}. Diamonds: means of a fifth of the sightings; band: centroid noise, 1 sigma."
     return Figure(key, svg, alt, caption, (series("angle", "deg", angle), series("along axis", "px", along)))

@@ -7,7 +7,7 @@ import numpy as np
 from uvgs_bench.report.beacon_evidence import MeasurementEvidence
 from uvgs_bench.report.cells import Cell, Number, decimals_for
 from uvgs_bench.report.document import Column, Figure, Section, Table
-from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.figures import canvas, label_of, legend_above, series, style, svg_of
 from uvgs_bench.report.palette import BLUE, FAINT, ORANGE
 from uvgs_bench.units import mm_from_m
 
@@ -55,7 +55,7 @@ def _drawing(evidence: MeasurementEvidence) -> Figure:
     distances = evidence.measurement.distances
     off_mm = np.array([mm_from_m(d.distance_m - d.nominal_m) for d in distances])
     half_mm = np.array([_NORMAL_95 * mm_from_m(d.sigma_m) for d in distances])
-    names = [f"{d.first} – {d.second}".replace("$", r"\$") for d in distances]
+    names = [f"{label_of(d.first, 10)} – {label_of(d.second, 10)}" for d in distances]
     at = np.arange(len(distances), dtype=np.float64)
     key = "distances-off"
     worst = int(np.argmax(np.abs(off_mm)))

@@ -47,9 +47,10 @@ def _map(evidence: ForecastEvidence, key: str, values: FloatArray, unit: str, wo
     tilts = [f"{deg_from_rad(float(tilt)):.0f}" for tilt in found.tilt_rad]
     ranges = [f"{r:.2f}" for r in found.range_m]
     best, worst = float(np.nanmin(values)), float(np.nanmax(values))
+    blind = int(np.isnan(values).sum())
     alt = (
         f"{words}, by range {ranges[0]} to {ranges[-1]} m and tilt {tilts[0]} to {tilts[-1]} deg: {best:.3g} to "
-        f"{worst:.3g} {unit}; {values[0, 0]:.3g} {unit} nearest and from the front."
+        f"{worst:.3g} {unit}; {blind} of {values.size} cells show fewer than four LEDs."
     )
     with style(key):
         figure = canvas(0.42 * len(ranges) + 1.1)
@@ -99,6 +100,7 @@ def _sizes(evidence: ForecastEvidence) -> Figure:
         axes.set_xticks(found.range_m, [f"{r:.2g}" for r in found.range_m])
         axes.xaxis.set_minor_formatter("")
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
         legend_above(axes, 2)
         svg = svg_of(figure, key, alt)
     numbers = (

@@ -25,6 +25,7 @@ def _run_table(run: Run) -> Table:
         ("Procedure", m.procedure_name),
         ("Camera", m.camera_spec),
         ("Gantry", m.gantry_spec),
+        ("Gantry judged by", m.gantry_info.get("judged_by", "not recorded")),
         ("Simulated", "YES: camera or gantry are software" if m.simulated else "no: real camera and gantry"),
         ("Mount", m.mount.replace("_", " ")),
         ("Stations taken", f"{taken} of {m.station_count} planned, {fitted} of them to fit the registration"),
