@@ -143,13 +143,15 @@ def test_a_moved_target_lit_in_both_captures_is_told_from_a_switched_one():
     rng = np.random.default_rng(18)
     uvgs = Uvgs(spots.calibration(), spots.beacon())
     wrong = 0
-    for _ in range(3):
-        pose = spots.random_pose(rng, near_m=0.5, far_m=0.8)
+    # Small spots, and spots so large that they still overlap when they moved far.
+    for sigma_px, steps_px in ((2.2, (1.5, 3.0, 6.0)), (2.2, (1.5, 3.0, 6.0)), (9.0, (6.0, 14.0, 24.0, 30.0))):
+        pose = spots.random_pose(rng, near_m=0.5, far_m=0.6)
         target = spots.lens().project(pose.apply(spots.beacon().positions_m))
-        on = Capture(spots.draw(target, rng, 150.0, 2.2), 0)
+        on = Capture(spots.draw(target, rng, 150.0, sigma_px), 0)
         assert difference(on, Capture(spots.draw(target[:0], rng), 1)).is_switched_at(target)
-        for moved_px in (1.5, 3.0, 6.0):
-            again = Capture(spots.draw(target + [moved_px, 0.0], rng, 150.0, 2.2), 1)
+        for moved_px in steps_px:
+            moved = target + np.array([moved_px, 0.0])
+            again = Capture(spots.draw(moved, rng, 150.0, sigma_px), 1)
             got = difference(on, again, DifferenceConfig(motion_px=0))
             outcome = uvgs.solve(got.capture)
             if isinstance(outcome, PoseEstimate):

@@ -121,7 +121,7 @@ def _show_times(stage: str, times: StageTimes) -> None:
 
     median, p95, p99 = (ms_from_s(times.quantile_s(share)) for share in (0.5, 0.95, 0.99))
     out.print(
-        f"\n[bold]{stage}[/]  median {median:.3g}, p95 {p95:.3g}, p99 {p99:.3g}, longest "
+        f"\n[bold]{stage}[/]  median {median:.3g}, p95 {p95:.3g}, p99 {p99:.3g}, max "
         f"{ms_from_s(times.longest_s):.3g} ms"
     )
     rows = times.histogram()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from math import ceil, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from uvgs_bench.errors import CaptureError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor.blobs import full_scale_dn, noise_dn
 from uvgs_bench.sensor.capture import Capture, ImageArray
+from uvgs_bench.sensor.exposure import measure_levels
 from uvgs_bench.sensor.preprocess import intensity
 
 _MEAN_SIDE_PX = 5
@@ -25,7 +27,7 @@ _STRUCTURE = 8.0
 _REGISTER_STEP = 64.0
 # Share of an LED's light that its dark partner may show.
 _STILL_LIT = 0.3
-# Light this near may reach under an LED and shift its centre.
+# Light this near to the rim of an LED's spot may reach under it and shift its centre.
 _STILL_LIT_PX = 14
 
 
@@ -100,9 +102,10 @@ class Difference:
         height, width = raw.shape
         dark = 0
         seen = led_px[np.isfinite(led_px).all(axis=1)]
-        for u, v in np.rint(seen).astype(int):
+        levels = measure_levels(self.capture, np.hstack([seen, seen]))
+        for (u, v), level in zip(np.rint(seen).astype(int), levels, strict=True):
             core = np.s_[max(0, v - 1) : min(height, v + 2), max(0, u - 1) : min(width, u + 2)]
-            r = _STILL_LIT_PX
+            r = _STILL_LIT_PX + ceil(sqrt(level.half_px2 / pi))
             around = np.s_[max(0, v - r) : min(height, v + r + 1), max(0, u - r) : min(width, u + r + 1)]
             left = float(raw[core].max()) - self._pedestal
             taken = float(self.removed_dn[around].max()) - self._dark
