@@ -22,7 +22,8 @@ CX, CY, SIGMA, PEAK, BACKGROUND, WIDTH, CLIPPED, MEASURE_COLUMNS = 0, 1, 2, 3, 4
 def _ring_background(image: ImageArray, x0: int, y0: int, x1: int, y1: int, peak: float) -> tuple[float, float]:
     """Mean and variance of the undisturbed pixels of a frame 3 px wide around a box."""
     height, width = image.shape
-    frame = np.empty(6 * (x1 - x0 + y1 - y0 + 8))
+    # Whole numbers add up without rounding in any order, so that the sums run on whole registers.
+    frame = np.empty(6 * (x1 - x0 + y1 - y0 + 8), dtype=np.int64)
     filled = 0
     for y in range(max(0, y0 - 3), min(height, y1 + 4)):
         is_side = y >= y0 and y <= y1
@@ -37,15 +38,15 @@ def _ring_background(image: ImageArray, x0: int, y0: int, x1: int, y1: int, peak
     mean = 0.0
     variance = 0.0
     for _ in range(3):
-        total = 0.0
-        square = 0.0
+        total = 0
+        square = 0
         n = 0
-        for i in range(filled):
-            value = frame[i]
-            if value < limit:
-                total += value
-                square += value * value
-                n += 1
+        below = ceil(limit)
+        for value in frame[:filled]:
+            taken = int(value < below)
+            total += taken * int(value)
+            square += taken * int(value) * int(value)
+            n += taken
         if n < 8:
             break
         mean = total / n
@@ -55,43 +56,78 @@ def _ring_background(image: ImageArray, x0: int, y0: int, x1: int, y1: int, peak
 
 
 @compiled
+def _bell(x: float, low: int, high: int, curvature: float, out: FloatArray) -> None:
+    """``exp(-curvature (u - x)^2 / 2)`` for u from low up to high, by ratios from the middle outwards."""
+    middle = min(max(int(x), low), high - 1)
+    d = middle - x
+    shrink = exp(-curvature)
+    top = exp(-0.5 * curvature * d * d)
+    out[middle - low] = top
+    value = top
+    ratio = exp(-0.5 * curvature * (2.0 * d + 1.0))
+    for u in range(middle + 1, high):
+        value *= ratio
+        ratio *= shrink
+        out[u - low] = value
+    value = top
+    ratio = exp(0.5 * curvature * (2.0 * d - 1.0))
+    for u in range(middle - 1, low - 1, -1):
+        value *= ratio
+        ratio *= shrink
+        out[u - low] = value
+
+
+@compiled
 def _settle(
     patch: FloatArray, x: float, y: float, s: float, noise: float, gain_e_per_dn: float
 ) -> tuple[float, float, float]:
     """Fixed point of the windowed centroid in a patch without background, and its variance; NaN when it wanders off.
 
-    Newton's method on ``sum w I (u - x) = 0``; its slope is what the error propagation needs as well.
+    Newton's method on ``sum w I (u - x) = 0``; its slope is what the error propagation needs as well. Columns are
+    summed first, because sums side by side run on whole registers.
     """
     height, width = patch.shape
     # There the product of window and spot is below 1e-5.
     r = ceil(3.0 * s)
     start_x = x
     start_y = y
-    ex = np.empty(width)
+    ex = np.empty(2 * r + 2)
+    ey = np.empty(2 * r + 2)
+    light = np.empty(2 * r + 2)
+    first = np.empty(2 * r + 2)
+    second = np.empty(2 * r + 2)
     curvature = 1.0 / (s * s)
     for _ in range(25):
         u0 = max(0, int(x) - r)
         u1 = min(width, int(x) + r + 2)
         v0 = max(0, int(y) - r)
         v1 = min(height, int(y) + r + 2)
-        for u in range(u0, u1):
-            ex[u] = exp(-0.5 * (u - x) * (u - x) * curvature)
-        weight = mx = my = slope_x = slope_y = 0.0
+        if u0 >= u1 or v0 >= v1:
+            break
+        n = u1 - u0
+        _bell(x, u0, u1, curvature, ex)
+        _bell(y, v0, v1, curvature, ey)
+        light[:] = 0.0
+        first[:] = 0.0
+        second[:] = 0.0
         for v in range(v0, v1):
             dy = v - y
-            ey = exp(-0.5 * dy * dy * curvature)
-            light = first = second = 0.0
-            for u in range(u0, u1):
-                dx = u - x
-                w = ex[u] * patch[v, u]
-                light += w
-                first += w * dx
-                second += w * dx * dx
-            weight += ey * light
-            mx += ey * first
-            my += ey * dy * light
-            slope_x += ey * (light - curvature * second)
-            slope_y += ey * light * (1.0 - curvature * dy * dy)
+            w0 = ey[v - v0]
+            w1 = w0 * dy
+            w2 = w0 * (1.0 - curvature * dy * dy)
+            row = patch[v, u0:u1]
+            for k in range(n):
+                light[k] += w0 * row[k]
+                first[k] += w1 * row[k]
+                second[k] += w2 * row[k]
+        weight = mx = my = slope_x = slope_y = 0.0
+        for k in range(n):
+            dx = u0 + k - x
+            weight += ex[k] * light[k]
+            mx += ex[k] * light[k] * dx
+            my += ex[k] * first[k]
+            slope_x += ex[k] * light[k] * (1.0 - curvature * dx * dx)
+            slope_y += ex[k] * second[k]
         if weight <= 0.0:
             break
         # Far from a centre the slope may be anything; the plain iteration of the windowed centroid goes half the way.
@@ -99,21 +135,24 @@ def _settle(
         step_y = my / slope_y if slope_y > 0.25 * weight else 2.0 * my / weight
         # Newton's step squares the error, so that after a step this small 1e-6 px is left at most.
         if abs(step_x) + abs(step_y) < 5e-4 and slope_x > 0.0 and slope_y > 0.0:
-            vx = vy = 0.0
             shot = 1.0 / gain_e_per_dn
+            first[:] = 0.0
+            second[:] = 0.0
             for v in range(v0, v1):
                 dy = v - y
-                ey = exp(-dy * dy * curvature)
-                noise_0 = noise_2 = 0.0
-                for u in range(u0, u1):
-                    dx = u - x
-                    variance = ex[u] * ex[u] * (noise + shot * max(patch[v, u], 0.0))
-                    noise_0 += variance
-                    noise_2 += variance * dx * dx
-                vx += ey * noise_2
-                vy += ey * dy * dy * noise_0
-            variance = 0.5 * (vx / (slope_x * slope_x) + vy / (slope_y * slope_y))
-            return x + step_x, y + step_y, variance
+                w0 = ey[v - v0] * ey[v - v0]
+                w2 = w0 * dy * dy
+                row = patch[v, u0:u1]
+                for k in range(n):
+                    variance = noise + shot * max(row[k], 0.0)
+                    first[k] += w0 * variance
+                    second[k] += w2 * variance
+            vx = vy = 0.0
+            for k in range(n):
+                dx = u0 + k - x
+                vx += ex[k] * ex[k] * dx * dx * first[k]
+                vy += ex[k] * ex[k] * second[k]
+            return x + step_x, y + step_y, 0.5 * (vx / (slope_x * slope_x) + vy / (slope_y * slope_y))
         x += min(max(step_x, -s), s)
         y += min(max(step_y, -s), s)
         if abs(x - start_x) + abs(y - start_y) > 2.0 + 2.0 * s:
@@ -126,9 +165,14 @@ def _patch_of(image: ImageArray, x0: int, y0: int, size: int, background: float)
     """A square of the picture above a background; outside the picture it is 0, as if the background went on."""
     height, width = image.shape
     out = np.zeros((size, size))
-    for v in range(max(0, -y0), min(size, height - y0)):
-        for u in range(max(0, -x0), min(size, width - x0)):
-            out[v, u] = float(image[y0 + v, x0 + u]) - background
+    left = max(0, -x0)
+    n = min(size, width - x0) - left
+    if n > 0:
+        for v in range(max(0, -y0), min(size, height - y0)):
+            line = image[y0 + v, x0 + left : x0 + left + n]
+            row = out[v, left : left + n]
+            for u in range(n):
+                row[u] = line[u] - background
     return out
 
 
