@@ -57,6 +57,7 @@ def test_tracked_poses_are_as_uncertain_as_they_say(pytestconfig):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_rendered_poses_are_as_uncertain_as_they_say_over_many(pytestconfig):
     check(np.concatenate([squares(pytestconfig.rootpath, 2000, seed) for seed in range(20, 25)]))
 

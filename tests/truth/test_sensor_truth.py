@@ -54,6 +54,7 @@ def test_poses_are_as_uncertain_as_they_say():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # ten thousand pictures with noise in every pixel take six minutes on a quiet machine
 def test_poses_are_as_uncertain_as_they_say_over_many():
     check_nees(10_000, 5)
 
