@@ -50,10 +50,13 @@ def sensors(folder: Path) -> dict[str, Uvgs]:
     return {"any": Uvgs(read_calibration(folder / "camera.yaml"), read_beacon(folder / "any.toml"))}
 
 
-@pytest.mark.parametrize("factor", [0.1, 10.0])
-def test_the_exposure_settles_from_ten_times_too_dark_and_too_bright(tmp_path, capfd, factor):
+DEEP = {"bit_depth": 12, "peak_dn_at_1m": 220.0 * 16, "gain_e_per_dn": 2.5, "black_dn": 64.0, "background_dn": 64.0}
+
+
+@pytest.mark.parametrize(("factor", "camera"), [(0.1, {}), (10.0, {}), (0.1, DEEP)])
+def test_the_exposure_settles_from_ten_times_too_dark_and_too_bright(tmp_path, capfd, factor, camera):
     # 4 ms puts the peaks near 60 to 80 % over the ranges of the path.
-    bench = write_bench(tmp_path, exposure_ms=4.0 * factor, peak_dn_at_1m=220.0)
+    bench = write_bench(tmp_path, exposure_ms=4.0 * factor, **{"peak_dn_at_1m": 220.0, **camera})
     out = tmp_path / "p.jsonl"
     assert uvgs(f"sim:{bench}?count=14", *setup(tmp_path), "--out", out, "--auto-exposure", "--json") == 0
     summary = json.loads(capfd.readouterr().out)
@@ -74,6 +77,8 @@ def test_the_exposure_settles_from_ten_times_too_dark_and_too_bright(tmp_path, c
     for line in lines[3:]:
         assert line["status"] == "ok"
         assert "saturated" not in line["flags"]
+    # A dark picture of 12 bit looks like a bright one of 10: the camera's own depth decides.
+    assert 0.003 < exposures[4] < 0.006
 
 
 class LaggingCamera:
@@ -85,6 +90,7 @@ class LaggingCamera:
         self._camera = open_camera(spec)
         self.exposure_limits_s = self._camera.exposure_limits_s
         self.exposure_s = self._camera.exposure_s
+        self.full_scale_dn = self._camera.full_scale_dn
         self.gain_db = 6.0
         self._queue = [self.exposure_s] * 2
         self.taken_s: list[float] = []

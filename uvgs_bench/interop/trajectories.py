@@ -22,7 +22,7 @@ from typing import Self, TextIO
 import numpy as np
 
 from uvgs_bench.errors import ConfigError, FormatError, UvgsError
-from uvgs_bench.geometry import Pose
+from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.handover import Held
 from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
@@ -246,6 +246,8 @@ class JsonLinesPoses(PoseWriter):
                 "beacon": told.beacon,
                 **_pose_record(told.camera_from_beacon),
                 "covariance": told.covariance.tolist(),
+                "beacon_covariance": _list_or_none(told.beacon_covariance),
+                "calibration_covariance": _list_or_none(told.calibration_covariance),
                 "rms_px": told.rms_px,
                 "margin": told.margin if np.isfinite(told.margin) else None,
                 "led_px": [[v if np.isfinite(v) else None for v in row] for row in told.led_px.tolist()],
@@ -379,6 +381,10 @@ def _flags(outcome: Outcome | Held, note: LineNote) -> tuple[str, ...]:
 
 def _pose_record(pose: Pose) -> dict[str, object]:
     return {"t_m": pose.t_m.tolist(), "q_xyzw": pose.quaternion_xyzw().tolist()}
+
+
+def _list_or_none(values: FloatArray | None) -> object:
+    return None if values is None else values.tolist()
 
 
 def _tum(t_ns: int, pose: Pose) -> str:

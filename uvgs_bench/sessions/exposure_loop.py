@@ -72,8 +72,10 @@ class ExposureLoop:
         Raises:
             CaptureError: The camera refuses.
         """
-        levels = self._levels(capture, outcomes)
-        peak = 0.0 if levels else float(capture.image.max()) / full_scale_dn(capture.image)
+        # Levels are said by the depth the picture shows; the camera knows its own.
+        share = min(full_scale_dn(capture.image) / self._camera.full_scale_dn, 1.0)
+        levels = [_scaled(level, share) for level in self._levels(capture, outcomes)]
+        peak = 0.0 if levels else float(capture.image.max()) / self._camera.full_scale_dn
         advice = advise_exposure(
             levels,
             self._state,
@@ -120,6 +122,12 @@ class ExposureLoop:
         closing_mps = (_range_m(before) - range_m) / passed_s
         waiting = 0 if capture.exposure_s is not None else self.policy.settling
         return RangeForecast(range_m, closing_mps, passed_s * (1 + waiting))
+
+
+def _scaled(level: LightLevel, share: float) -> LightLevel:
+    if share == 1.0:
+        return level
+    return LightLevel(share * level.peak, share * level.background, 0.0, level.half_px2)
 
 
 def _range_m(pose: PoseEstimate) -> float:

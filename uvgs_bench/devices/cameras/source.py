@@ -78,6 +78,11 @@ class ExposureControl(Protocol):
         ...
 
     @property
+    def full_scale_dn(self) -> float:
+        """Largest value a pixel of its pictures can have, DN: a dark 16-bit picture does not show its depth."""
+        ...
+
+    @property
     def settling_captures(self) -> int:
         """How many captures after a change may still be taken with the old exposure and do not say so."""
         ...

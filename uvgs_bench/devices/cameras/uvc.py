@@ -127,6 +127,11 @@ class UvcCamera(ClosingSource):
         return _EXPOSURE_LIMITS_S
 
     @property
+    def full_scale_dn(self) -> float:
+        """Pictures are of 8 bit."""
+        return 255.0
+
+    @property
     def settling_captures(self) -> int:
         """How many captures after a change may still be taken with the old exposure."""
         return _SETTLING_CAPTURES

@@ -167,6 +167,11 @@ class SimulatedCamera(ClosingSource):
         return _EXPOSURE_LIMITS_S
 
     @property
+    def full_scale_dn(self) -> float:
+        """Largest value of the converter, DN."""
+        return float((1 << self._scene.truth.camera.bit_depth) - 1)
+
+    @property
     def settling_captures(self) -> int:
         """None: every capture states its own exposure."""
         return 0
