@@ -13,6 +13,7 @@ from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import m_from_mm, mps_from_mm_min, rad_from_deg, radps_from_deg_min
 
+UNJUDGED = "nobody: the axes are taken as the bench file declares them"
 _UNIT_OF_KIND: dict[AxisKind, str] = {"linear": "mm", "rotary": "deg"}
 
 
@@ -97,6 +98,7 @@ class GantryFile:
         position_sigma_mm: What the carriage's position is doubted by, standard deviation per axis, mm.
         keep_out: Boxes no move may touch: for each, an interval by axis as ``X_mm = [lower, upper]`` or
             ``A_deg = [lower, upper]``; an axis not named is blocked over its whole travel.
+        calibration: What ``uvgs gantry characterise`` found of scale and squareness, relative to the bench file.
     """
 
     axes: tuple[AxisFile, ...]
@@ -104,6 +106,7 @@ class GantryFile:
     homing_timeout_s: float = 120.0
     position_sigma_mm: float = 0.05
     keep_out: tuple[dict[str, tuple[float, float]], ...] = ()
+    calibration: str | None = None
 
     def __post_init__(self) -> None:
         if not self.position_sigma_mm > 0.0:
@@ -170,13 +173,16 @@ class Bench:
         beacon_file: Path of the beacon file.
         camera_source: Spec of the camera.
         gantry_port: Spec of the gantry.
-        envelope: Axes and what they may reach, m and rad.
+        envelope: Axes and what they may reach, m and rad; with scale and direction as measured, where they were.
         mount: Which part rides the carriage.
         homing_timeout_s: How long homing may take, s.
         position_sigma_m: Doubt of the carriage's position, standard deviation per axis, m.
         sensor_file: Path of the sensor's settings, or None for the defaults.
         simulated: The truth of the simulated bench, or None when there is none.
         path: The file it was read from, or empty.
+        nominal_axes: The axes as the bench file declares them.
+        gantry_file: Path of the gantry's calibration, or None when the axes are taken as declared.
+        judged_by: Who judged the gantry, in one line.
     """
 
     name: str
@@ -191,6 +197,9 @@ class Bench:
     sensor_file: str | None = None
     simulated: SimulatedTruth | None = field(default=None)
     path: str = ""
+    nominal_axes: tuple[Axis, ...] = ()
+    gantry_file: str | None = None
+    judged_by: str = UNJUDGED
 
     @property
     def is_simulated(self) -> bool:

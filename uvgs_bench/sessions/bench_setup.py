@@ -37,6 +37,7 @@ from uvgs_bench.store.run_writer import (
     SETUP_BEACON,
     SETUP_BENCH,
     SETUP_CALIBRATION,
+    SETUP_GANTRY,
     SETUP_PROCEDURE,
     SETUP_SENSOR,
     utc_now,
@@ -126,6 +127,8 @@ def read_setup(
         SETUP_BENCH: bench,
         SETUP_PROCEDURE: procedure,
     }
+    if described.gantry_file is not None:
+        sources[SETUP_GANTRY] = Path(described.gantry_file)
     config = UvgsConfig()
     if described.sensor_file is not None:
         sources[SETUP_SENSOR] = Path(described.sensor_file)
@@ -372,7 +375,7 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
         seed=procedure.seed,
         hashes=set_up.hashes(info),
         versions=program_versions(),
-        gantry_info=controller_facts(info),
+        gantry_info=controller_facts(info) | {"judged_by": set_up.bench.judged_by},
         camera_spec=set_up.camera_spec,
         gantry_spec=set_up.gantry_spec,
         simulated=set_up.is_simulated,

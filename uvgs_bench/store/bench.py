@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from uvgs_bench.devices.bench import Bench, BenchFile
+from uvgs_bench.devices.bench import UNJUDGED, Bench, BenchFile
 from uvgs_bench.devices.sim.passing import PassingBeacon
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import ConfigError
 from uvgs_bench.store.beacons import read_beacon
 from uvgs_bench.store.documents import read_document
+from uvgs_bench.store.gantry_records import measured_axes, read_gantry_record
 from uvgs_bench.units import m_from_mm
 
 
@@ -21,10 +23,11 @@ def read_bench(path: Path) -> Bench:
         path: The file.
 
     Returns:
-        The bench, in m and rad, with resolved paths. The files it names are not opened.
+        The bench, in m and rad, with resolved paths. Of the files it names only the gantry's calibration is opened.
 
     Raises:
-        ConfigError: As ``read_document``, or axes and keep-out boxes that cannot be meant.
+        ConfigError: As ``read_document``, or axes and keep-out boxes that cannot be meant, or a calibration of other
+            axes.
     """
     file = read_document(path, BenchFile)
     if not file.gantry.homing_timeout_s > 0.0:
@@ -34,6 +37,12 @@ def read_bench(path: Path) -> Bench:
     except ValueError as error:
         raise ConfigError(str(error), str(path), "gantry") from None
     folder = path.parent
+    nominal, gantry_file, judged_by = envelope.axes, None, UNJUDGED
+    if file.gantry.calibration is not None:
+        gantry_file = folder / file.gantry.calibration
+        record = read_gantry_record(gantry_file)
+        envelope = replace(envelope, axes=measured_axes(record, nominal, str(gantry_file)))
+        judged_by = record.judged_by
     return Bench(
         name=file.name,
         camera_file=str(folder / file.camera),
@@ -47,6 +56,9 @@ def read_bench(path: Path) -> Bench:
         sensor_file=None if file.sensor is None else str(folder / file.sensor),
         simulated=file.simulated,
         path=str(path),
+        nominal_axes=nominal,
+        gantry_file=None if gantry_file is None else str(gantry_file),
+        judged_by=judged_by,
     )
 
 

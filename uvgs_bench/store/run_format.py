@@ -271,6 +271,7 @@ def _table_from_axis(axis: Axis) -> dict[str, object]:
         f"max_speed_{speed}": float(axis.max_speed),
         f"acceleration_{acceleration}": float(axis.acceleration),
         f"backlash_{way}": float(axis.backlash),
+        "scale": float(axis.scale),
     }
 
 
@@ -287,4 +288,6 @@ def _axis_from_table(table: Mapping[str, Any]) -> Axis:
         max_speed=float(table[f"max_speed_{speed}"]),
         acceleration=float(table[f"acceleration_{acceleration}"]),
         backlash=float(table[f"backlash_{way}"]),
+        # Runs from before the axes could be measured have none.
+        scale=float(table.get("scale", 1.0)),
     )

@@ -23,7 +23,7 @@ from uvgs_bench.units import NS_PER_S, ns_from_s
 
 MANIFEST, JOURNAL, WIRE_LOG, CAPTURES, SETUP = "run.toml", "samples.jsonl", "gantry.log", "captures", "setup"
 SETUP_CALIBRATION, SETUP_BEACON, SETUP_BENCH = "calibration.yaml", "beacon.toml", "bench.toml"
-SETUP_PROCEDURE, SETUP_SENSOR = "procedure.toml", "sensor.toml"
+SETUP_PROCEDURE, SETUP_SENSOR, SETUP_GANTRY = "procedure.toml", "sensor.toml", "gantry.toml"
 Keep = Literal["all", "worst", "none"]
 KEEPS: tuple[str, ...] = get_args(Keep)
 

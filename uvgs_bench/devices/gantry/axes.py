@@ -32,6 +32,7 @@ class Axis:
         max_speed: Largest speed.
         acceleration: Acceleration, for time estimates.
         backlash: Known reversal, >= 0; the approach overshoots by more than this.
+        scale: True travel per reported travel, > 0, as measured; 1 is as declared.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Axis:
     max_speed: float
     acceleration: float
     backlash: float = 0.0
+    scale: float = 1.0
 
     def __post_init__(self) -> None:
         direction = np.asarray(self.direction, dtype=np.float64)
@@ -52,6 +54,8 @@ class Axis:
             raise ValueError(f"axis {self.name}: lower bound must be below the upper bound")
         if not (self.max_speed > 0.0 and self.acceleration > 0.0 and self.backlash >= 0.0):
             raise ValueError(f"axis {self.name}: speed and acceleration must be positive, backlash not negative")
+        if not 0.5 < self.scale < 2.0:
+            raise ValueError(f"axis {self.name}: the scale must be near 1, got {self.scale:g}")
         object.__setattr__(self, "direction", read_only(direction / norm, (3,)))
 
     def described(self, value: float) -> str:
@@ -133,7 +137,7 @@ def _segment_meets_box(p: FloatArray, q: FloatArray, lower: FloatArray, upper: F
 
 
 def gantry_from_carriage(axes: Sequence[Axis], position: Sequence[float] | FloatArray) -> Pose:
-    """Where the carriage is, for nominal axes.
+    """Where the carriage is, for axes as declared, or as measured where they carry a scale and a measured direction.
 
     Args:
         axes: The axes, applied in this order.
@@ -145,8 +149,8 @@ def gantry_from_carriage(axes: Sequence[Axis], position: Sequence[float] | Float
     pose = Pose.identity("gantry", "carriage")
     for axis, value in zip(axes, position, strict=True):
         if axis.kind == "linear":
-            step = Pose(np.eye(3), axis.direction * float(value), "carriage", "carriage")
+            step = Pose(np.eye(3), axis.direction * (axis.scale * float(value)), "carriage", "carriage")
         else:
-            step = Pose(so3_exp(axis.direction * float(value)), np.zeros(3), "carriage", "carriage")
+            step = Pose(so3_exp(axis.direction * (axis.scale * float(value))), np.zeros(3), "carriage", "carriage")
         pose = pose @ step
     return pose

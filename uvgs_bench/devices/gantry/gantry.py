@@ -116,6 +116,19 @@ class Gantry(Protocol):
         """Stop the motion now, controlled, so that the position stays known. Never raises for being at rest."""
         ...
 
+    def ask(self, line: str) -> list[str]:
+        """Send a line that moves nothing, and return the lines that answer it.
+
+        Raises:
+            ConfigError: The line could move something; nothing was sent.
+            GantryError: Refused, alarm, lost, or no answer.
+        """
+        ...
+
+    def reread(self) -> ControllerInfo:
+        """Read identity and settings anew, after one was changed. Raises GantryError."""
+        ...
+
     def reset(self) -> GantryState:
         """Stop hard: steps cease at once, and the position is lost. Raises GantryTimeout, GantryLost."""
         ...

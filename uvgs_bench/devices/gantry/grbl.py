@@ -21,7 +21,7 @@ from uvgs_bench.devices.gantry.grbl_identity import identify
 from uvgs_bench.devices.gantry.grbl_link import GrblLink
 from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
-from uvgs_bench.errors import GantryError, GantryLost, GantryRefused, GantryTimeout
+from uvgs_bench.errors import ConfigError, GantryError, GantryLost, GantryRefused, GantryTimeout
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import ns_from_s, s_from_ns
 
@@ -265,6 +265,26 @@ class GrblGantry:
             state = self._ask_state()
         self._may_move = False
         return state
+
+    def ask(self, line: str) -> list[str]:
+        """Send a line that moves nothing, and return the lines that answer it; ``?`` is answered by a report.
+
+        Raises:
+            ConfigError: The line could move something; nothing was sent.
+            GantryError: Refused, alarm, lost, or no answer.
+        """
+        self._check_open()
+        if line == "?":
+            return [protocol.shown(self._link.ask_report(len(self.axes))[0])]
+        if not protocol.is_harmless(line):
+            raise ConfigError(f"{line!r} is not sent: it may move something; use move, jog, home or stop")
+        return [*map(protocol.shown, self._link.command(line, _REPLY_S)), "ok"]
+
+    def reread(self) -> ControllerInfo:
+        """Read identity and settings anew, after one was changed. Raises GantryError."""
+        self._check_open()
+        self._info, self._settings = identify(self._link, self.axes)
+        return self._info
 
     def reset(self) -> GantryState:
         """Stop hard: steps cease at once, and the position is lost. Raises GantryTimeout, GantryLost."""

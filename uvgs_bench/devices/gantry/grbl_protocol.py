@@ -164,6 +164,26 @@ def _read_report(text: str) -> Report | Unknown:
     return Report(activity, substate, positions.get("machine"), positions.get("work"), positions.get("offset"), fields)
 
 
+def shown(received: Received) -> str:
+    """Something received as a line for people."""
+    match received:
+        case Reply(code):
+            return f"error:{code}" if code else "ok"
+        case Alarm(code):
+            return f"ALARM:{code}"
+        case Setting(number, value):
+            return f"${number}={value}"
+        case Message(name, text):
+            return f"[{name}:{text}]"
+        case Report():
+            places = {"MPos": received.machine, "WPos": received.work, "WCO": received.offset}
+            told = [f"{name}:{','.join(f'{v:.3f}' for v in at)}" for name, at in places.items() if at is not None]
+            state = received.activity + (f":{received.substate}" if received.substate else "")
+            return "<" + "|".join([state, *told, *(f"{name}:{text}" for name, text in received.fields.items())]) + ">"
+        case Welcome(text) | Unknown(text):
+            return text
+
+
 def controller_from_si(axes: Sequence[Axis], position: FloatArray) -> FloatArray:
     """Axis positions as the controller counts them.
 
@@ -257,6 +277,14 @@ def write_move(
     line = f"{start}{words}F{feed_per_min:.3f}"
     check_line(line)
     return line
+
+
+_HARMLESS = re.compile(r"^(\$|\$\$|\$#|\$G|\$I|\$N|\$S|\$P|\$L|\$E|\$\d+=-?[\d.]+)$")
+
+
+def is_harmless(line: str) -> bool:
+    """Whether a line asks or sets something and moves nothing, in any dialect."""
+    return _HARMLESS.match(line) is not None
 
 
 def sealed(number: int, line: str) -> str:

@@ -194,7 +194,9 @@ def start_simulated_bench(
         ConfigError: The truth does not fit the beacon.
     """
     truth = bench.simulated or SimulatedTruth()
-    return SimulatedBench(truth, beacon, bench.envelope.axes, bench.mount, speed=speed, seed=seed)
+    # What is true is said against the axes as declared, whatever was measured since.
+    axes = bench.nominal_axes or bench.envelope.axes
+    return SimulatedBench(truth, beacon, axes, bench.mount, speed=speed, seed=seed)
 
 
 def true_lens(truth: SimulatedTruth) -> Lens:
