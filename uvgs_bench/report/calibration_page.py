@@ -109,7 +109,7 @@ def _key_figures(evidence: CalibrationEvidence) -> tuple[KeyFigure, ...]:
         interval = Interval(value - half, value + half, decimals, "px")
         note = "predicted; what halves say is not in the file" if result is None else "predicted; halves not compared"
         if factor is not None:
-            note = f"predicted, times {factor:.2f} by the halves"
+            note = f"predicted, times {factor:.2f} by the halves" if factor > 1.0 else "predicted; the halves agree"
         figures.append(KeyFigure("Focal length fx", Number(value, decimals, "px"), interval, note))
     if calibration.rms_px is not None:
         note = f"{calibration.corner_count} corners, {calibration.rejected_count} set aside"

@@ -68,7 +68,7 @@ def rules(result: CalibrationResult) -> tuple[tuple[Cell, ...], ...]:
         ("Radius covered by boards", result.coverage.radius_px),
     ):
         state: State = "pass" if radius_px >= least_px else "fail"
-        word = "whole picture" if radius_px >= full_px else "part of the picture" if state == "pass" else ""
+        word = "whole" if radius_px >= full_px else "in part" if state == "pass" else ""
         limit = f"≥ {least_px:.0f} px, whole picture: ≥ {full_px:.0f} px"
         rows.append((words, limit, Number(radius_px, 0, "px"), Mark(state, word)))
     relative = float((calibration.sigmas[:2] / calibration.lens.parameters[:2]).max()) * doubt_factor(result)
