@@ -99,8 +99,8 @@ def match_leds(
             unknown; None when nothing is known.
 
     Returns:
-        The match, or why there is none: ``degenerate``, ``no_labeling``, ``chance_fit``,
-        ``ambiguous``.
+        The match, or why there is none: ``degenerate``, ``no_labeling``, ``not_proven``,
+        ``chance_fit``, ``ambiguous``.
     """
     if config.correspondence == "paper":
         return _sort_as_paper(centroid_px, sigma_px, lens, leds, config)
@@ -108,6 +108,12 @@ def match_leds(
     if not len(found):
         return NoMatch("no_labeling", f"no labeling of {len(centroid_px)} blobs fits the beacon")
     best = found.candidate(0)
+    if not found.is_proven:
+        return NoMatch(
+            "not_proven",
+            f"{best.seen} of {len(leds.positions_m)} LEDs fit, too few to be sure: not all labelings of "
+            f"{len(centroid_px)} blobs can be tried",
+        )
     chance = chance_fits(best, found, leds, looks)
     if chance > config.max_chance_fits:
         return NoMatch(

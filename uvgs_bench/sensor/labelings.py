@@ -13,11 +13,11 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import rotation_angle
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.correspondence_kernels import KEPT, search_labelings
 from uvgs_bench.sensor.evidence_kernels import look_of_a_stray
-from uvgs_bench.sensor.led_table import LedTable
+from uvgs_bench.sensor.led_table import LedTable, LedTriples
 from uvgs_bench.sensor.outcome import PoseEstimate
-from uvgs_bench.sensor.search_four import search_four
+from uvgs_bench.sensor.search_four import KEPT, search_four
+from uvgs_bench.sensor.search_many import search_many
 
 # Two poses nearer than this are one answer: no user acts differently on them.
 _SAME_TURN_RAD = 0.05
@@ -33,6 +33,14 @@ _PRIOR_CHANCE = 0.02
 _PREDICTED_AREA = 4.0
 # Lights nobody placed differ in brightness by this factor.
 _STRAY_FACTOR = 30.0
+# Triples of LEDs on triples of blobs: up to so many all are tried, a tenth of a second. Poses after which to give up.
+_MOST_IN_FULL = 400_000
+_MOST_TRIED = 150_000
+# Blobs beside a blob that start a search with it, and neighbours that must find a light.
+_NEIGHBOURS = 4
+_CONFIRMING = 3
+# Chance of having missed a pose that explains as much, at most, for the best to be believed.
+_MOST_MISSED = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +86,8 @@ class Search:
             more that of one prediction.
         field_px2: Area in which the lights lie.
         blobs: Number of lights.
+        is_proven: Whether no other labeling can explain as much: all, or nearly
+            all that could, were tried.
     """
 
     cost: FloatArray
@@ -91,6 +101,7 @@ class Search:
     area_px2: float
     field_px2: float
     blobs: int
+    is_proven: bool = True
 
     def __len__(self) -> int:
         return len(self.cost)
@@ -178,18 +189,25 @@ def search(
     Rs, ts = np.empty((KEPT, 3, 3)), np.empty((KEPT, 3))
     assignments = np.empty((KEPT, n), dtype=np.int64)
     reach = max(lens.fx_px, lens.fy_px) * leds.longest_m / config.min_range_m
-    at = np.ascontiguousarray(px[seen])
+    at, deviations = np.ascontiguousarray(px[seen]), np.ascontiguousarray(sigma[seen])
     known = np.full((len(seen), 2), np.nan) if looks is None else np.ascontiguousarray(looks[seen])
-    inputs = (
-        lens.model_id, lens.kernel_parameters, np.ascontiguousarray(rays[seen]), at, np.ascontiguousarray(sigma[seen]),
-        known, leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose, leds.triples,
-    )  # fmt: skip
-    limits = (reach, config.min_range_m, config.max_range_m)
-    outputs = (costs, chi2s, cones, Rs, ts, assignments)
+    triples, seeds, needed = _plan(at, leds)
+    is_proven = True
     if n == 4:
-        count, tried, area = search_four(*inputs, *limits, *outputs)
+        count, tried, area = search_four(
+            lens.model_id, lens.kernel_parameters, np.ascontiguousarray(rays[seen]), at, deviations, known,
+            leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose, triples.leds,
+            reach, config.min_range_m, config.max_range_m, costs, chi2s, cones, Rs, ts, assignments,
+        )  # fmt: skip
     else:
-        count, tried, area = search_labelings(*inputs, _blob_triples(at, n), *limits, *outputs)
+        count, tried, missed = search_many(
+            lens.model_id, lens.kernel_parameters, np.ascontiguousarray(rays[seen]), at, deviations, known,
+            leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose, triples.leds,
+            reach, config.min_range_m, config.max_range_m, costs, chi2s, cones, Rs, ts, assignments, triples.edges_m2,
+            triples.near, seeds, needed, _MOST_TRIED,
+        )  # fmt: skip
+        is_proven = missed < _MOST_MISSED
+        area = _PREDICTED_AREA * float(np.mean(deviations**2))
     Rs, ts, cost = Rs[:count], ts[:count], costs[:count]
     near = np.zeros(count, dtype=bool)
     if prior is not None:
@@ -202,22 +220,46 @@ def search(
     # The lights lie in their bounding box, widened by as much as the outermost of m lights stay within a field.
     sides = (at.max(axis=0) - at.min(axis=0)) * (len(at) + 1.0) / (len(at) - 1.0)
     field_px2 = max(float(sides[0] * sides[1]), 1.0)
-    if n > 4:
-        area = _PREDICTED_AREA * float(np.mean(sigma[seen] ** 2))
     return Search(
         cost[order], chi2s[order], cones[order], near[order], Rs[order], ts[order], named, tried, area, field_px2,
-        len(seen),
+        len(seen), is_proven,
     )  # fmt: skip
 
 
-def _blob_triples(px: FloatArray, n: int) -> NDArray[np.int64]:
-    """All triples of blobs; for beacons of many LEDs the widest first, since the search may end early."""
-    triples = np.array(list(combinations(range(len(px)), 3)), dtype=np.int64)
-    if n == 4:
-        return triples
+def _plan(px: FloatArray, leds: LedTable) -> tuple[LedTriples, NDArray[np.int64], int]:
+    """Which LED triples to lay on which blobs, and how many neighbours must then find a light.
+
+    All on all, the widest blobs first, as long as that is affordable; else triples of neighbouring LEDs on neighbouring
+    blobs, which three more neighbours must confirm.
+    """
+    m = len(px)
+    if len(leds.positions_m) == 4:
+        return leds.triples, np.empty((0, 3), dtype=np.int64), 1
+    if comb(m, 3) * len(leds.triples.leds) <= _MOST_IN_FULL:
+        triples = np.array(list(combinations(range(m), 3)), dtype=np.int64)
+        return leds.triples, triples[np.argsort(-_area(px, triples)[0], kind="stable")], 1
+    near = np.argsort(np.linalg.norm(px[:, None] - px[None], axis=2), axis=1, kind="stable")[:, 1 : 1 + _NEIGHBOURS]
+    pairs = np.array(list(combinations(range(near.shape[1]), 2)))
+    around = np.concatenate([np.repeat(np.arange(m), len(pairs))[:, None], near[:, pairs].reshape(-1, 2)], axis=1)
+    triples = np.unique(np.sort(around, axis=1), axis=0)
+    area, longest = _area(px, triples)
+    fair = area > 0.2 * longest**2
+    triples, longest = triples[fair], longest[fair]
+    # The smallest first, but each blob in turn: what stands beside a stray light must not use up the search.
+    order = np.argsort(longest, kind="stable")
+    turn = np.zeros(m, dtype=np.int64)
+    rank = np.empty(len(order), dtype=np.int64)
+    for i in order:
+        rank[i] = turn[triples[i]].max()
+        turn[triples[i]] += 1
+    return leds.local, np.ascontiguousarray(triples[np.lexsort((longest, rank))]), _CONFIRMING
+
+
+def _area(px: FloatArray, triples: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Twice the area of triangles, px^2, and their longest edges, px."""
     a, b, c = px[triples[:, 0]], px[triples[:, 1]], px[triples[:, 2]]
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    return np.ascontiguousarray(triples[np.argsort(-area, kind="stable")])
+    return area, np.max([np.linalg.norm(p, axis=1) for p in (a - b, a - c, b - c)], axis=0)
 
 
 def steps_from(prior: PoseEstimate, R: FloatArray, t_m: FloatArray) -> FloatArray:
