@@ -93,6 +93,8 @@ bool Desk::obey(const std::string& command, uint64_t now_us, Table& table) {
     int level = 0;
     words >> level;
     table.set_estop(level != 0);
+  } else if (verb == "J") {
+    tell("J " + table.step_intervals());
   } else if (verb == "C") {
     table.strobe();
   } else if (verb == "M") {

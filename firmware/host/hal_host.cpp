@@ -43,9 +43,10 @@ void send_next() {
 void write_next() {
   uint16_t address;
   uint8_t value;
-  if (!uvgs::settings::next_to_write(address, value)) {
-    memory_at = NEVER;
-    return;
+  switch (uvgs::settings::next_to_write(address, value)) {
+    case uvgs::settings::Write::done: memory_at = NEVER; return;
+    case uvgs::settings::Write::again: memory_at = board.now + LOOP_TICKS; return;
+    default: break;
   }
   memory_at = board.now + MEMORY_TICKS;
   board.memory[address] = value;

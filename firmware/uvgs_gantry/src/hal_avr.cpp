@@ -35,6 +35,8 @@ constexpr uint8_t ESTOP_PIN = 1 << 0, TRIGGER_PIN = 1 << 3;
 constexpr uint8_t STROBE_CHANNEL = 5;
 
 constexpr uint8_t MARGIN_TICKS = 8;
+// Simulators never match a compare value of 0: half a microsecond later they do, and nothing else minds.
+constexpr uint16_t not_zero(uint16_t ticks) { return ticks == 0 ? 1 : ticks; }
 constexpr uint16_t LONGEST_TRIGGER_TURN = 250;  // counts of 4 us
 
 volatile uint32_t overflows;
@@ -100,8 +102,9 @@ Instant now() {
 uint32_t ticks() { return now().ticks(); }
 
 void idle(bool has_deadline) {
+  if (settings::is_writing()) start_writing();
   if (has_deadline) {
-    OCR0A = static_cast<uint8_t>(TCNT0 - 1);
+    OCR0A = (TCNT0 - 1) | 1;
     TIFR0 = 1 << OCF0A;
     TIMSK0 |= 1 << OCIE0A;
   } else {
@@ -125,7 +128,7 @@ void start_sending() { UCSR0B |= 1 << UDRIE0; }
 
 void step_timer_start(uint16_t ticks_from_now) {
   Quiet quiet;
-  OCR1A = TCNT1 + ticks_from_now;
+  OCR1A = not_zero(TCNT1 + ticks_from_now);
   TIFR1 = 1 << OCF1A;
   TIMSK1 |= 1 << OCIE1A;
 }
@@ -135,7 +138,7 @@ void step_timer_next(uint16_t ticks_from_last) {
   // When the interrupt came so late that the moment is over, the step is made as soon as possible, not a turn later.
   if (static_cast<int16_t>(next - TCNT1) < MARGIN_TICKS && ticks_from_last < 0x8000)
     next = TCNT1 + MARGIN_TICKS;
-  OCR1A = next;
+  OCR1A = not_zero(next);
 }
 
 void step_timer_stop() { TIMSK1 &= static_cast<uint8_t>(~(1 << OCIE1A)); }
@@ -148,7 +151,7 @@ void set_step_idle_levels(uint8_t levels) {
 
 void step_pulse(uint8_t axes, uint8_t pulse_us) {
   PORTD = static_cast<uint8_t>((PORTD & ~STEP_PINS) | (step_idle ^ (axes << STEP_SHIFT)));
-  OCR1B = TCNT1 + static_cast<uint16_t>(pulse_us) * 2;
+  OCR1B = not_zero(TCNT1 + static_cast<uint16_t>(pulse_us) * 2);
   TIFR1 = 1 << OCF1B;
   TIMSK1 |= 1 << OCIE1B;
 }
@@ -201,7 +204,8 @@ namespace {
 void time_trigger() {
   uint16_t turn = trigger_left < LONGEST_TRIGGER_TURN ? trigger_left : LONGEST_TRIGGER_TURN;
   trigger_left -= turn;
-  OCR0B = static_cast<uint8_t>(TCNT0 + turn);
+  uint8_t end = static_cast<uint8_t>(TCNT0 + turn);
+  OCR0B = end == 0 ? 1 : end;
   TIFR0 = 1 << OCF0B;
   TIMSK0 |= 1 << OCIE0B;
 }
@@ -239,7 +243,34 @@ uint8_t eeprom_read(uint16_t address) {
   return EEDR;
 }
 
-void start_writing() { EECR |= 1 << EERIE; }
+namespace {
+
+settings::Write write_some() {
+  Quiet quiet;
+  if (EECR & (1 << EEPE)) return settings::Write::byte;
+  uint16_t address;
+  uint8_t value;
+  settings::Write what = settings::next_to_write(address, value);
+  if (what == settings::Write::byte) {
+    EEAR = address;
+    EEDR = value;
+    EECR |= 1 << EEMPE;
+    EECR |= 1 << EEPE;
+  }
+  if (what == settings::Write::done) {
+    EECR &= static_cast<uint8_t>(~(1 << EERIE));
+  } else {
+    EECR |= 1 << EERIE;
+  }
+  return what;
+}
+
+}  // namespace
+
+void start_writing() {
+  while (write_some() == settings::Write::again) {
+  }
+}
 
 }  // namespace hal
 }  // namespace uvgs
@@ -325,17 +356,7 @@ ISR(USART_UDRE_vect) {
   }
 }
 
-ISR(EE_READY_vect) {
-  uint16_t address;
-  uint8_t value;
-  if (!settings::next_to_write(address, value)) {
-    EECR &= static_cast<uint8_t>(~(1 << EERIE));
-    return;
-  }
-  EEAR = address;
-  EEDR = value;
-  EECR |= 1 << EEMPE;
-  EECR |= 1 << EEPE;
-}
+// Fires for as long as the memory is ready; in simulators only when a byte is done, so idle() asks too.
+ISR(EE_READY_vect) { hal::write_some(); }
 
 #endif

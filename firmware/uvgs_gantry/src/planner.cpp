@@ -9,19 +9,18 @@ namespace uvgs {
 namespace planner {
 namespace {
 
-constexpr uint8_t SLOTS = BLOCKS + 1;
-static_assert((SLOTS & (SLOTS - 1)) == 0, "indices wrap by masking");
 constexpr float NO_LIMIT = 1e12f;
 
-Block blocks[SLOTS];
-// The step interrupt works on `tail`, the generator on `next`, new moves go to `head`.
-volatile uint8_t tail;
-uint8_t next_up, head;
+Block blocks[BLOCKS];
+// New moves go to `head`; `held` blocks before it are not finished, of which the generator has yet to cut the last
+// `waiting`, beginning with `next_up`. The step interrupt only counts `held` down.
+volatile uint8_t held;
+uint8_t waiting, next_up, head;
 float last_unit[AXES];
 float last_nominal, last_mm_s2;
 
-uint8_t after(uint8_t index) { return (index + 1) & (SLOTS - 1); }
-uint8_t before(uint8_t index) { return (index - 1) & (SLOTS - 1); }
+uint8_t after(uint8_t index) { return index + 1 == BLOCKS ? 0 : static_cast<uint8_t>(index + 1); }
+uint8_t before(uint8_t index) { return index == 0 ? BLOCKS - 1 : static_cast<uint8_t>(index - 1); }
 
 // Squared speed at the corner between the last move and one along `unit`, so that a circle within $11 of the corner
 // would be taken at the acceleration.
@@ -39,22 +38,20 @@ float junction2(const float unit[AXES], float mm_s2) {
 
 void clear() {
   hal::Quiet quiet;
-  tail = next_up = head = 0;
+  held = waiting = next_up = head = 0;
 }
 
-bool is_empty() { return tail == head; }
+bool is_empty() { return held == 0; }
 
-uint8_t free_blocks() { return static_cast<uint8_t>(BLOCKS - ((head - tail) & (SLOTS - 1))); }
+uint8_t free_blocks() { return static_cast<uint8_t>(BLOCKS - held); }
 
 void add(const int32_t from[AXES], const int32_t to[AXES], float feed_mm_s) {
   Block& block = blocks[head];
   float unit[AXES];
   float square = 0.0f;
-  block.negative = 0;
   for (uint8_t i = 0; i < AXES; ++i) {
     int32_t steps = to[i] - from[i];
-    if (steps < 0) block.negative |= static_cast<uint8_t>(1 << i);
-    block.steps[i] = static_cast<uint32_t>(steps < 0 ? -steps : steps);
+    block.steps[i] = steps;
     unit[i] = static_cast<float>(steps) / settings::now.steps_per_mm[i];
     square += unit[i] * unit[i];
   }
@@ -80,11 +77,16 @@ void add(const int32_t from[AXES], const int32_t to[AXES], float feed_mm_s) {
   last_nominal = block.nominal_mm_s;
   last_mm_s2 = block.mm_s2;
   head = after(head);
+  ++waiting;
+  {
+    hal::Quiet quiet;
+    held = static_cast<uint8_t>(held + 1);
+  }
   replan();
 }
 
 void replan() {
-  if (next_up == head) return;
+  if (waiting == 0) return;
   // The block the generator works on begins with the speed it has; everything behind it must be able to stop at the end.
   blocks[next_up].entry2 = stepper::speed_mm_s() * stepper::speed_mm_s();
   float next2 = 0.0f;
@@ -102,20 +104,22 @@ void replan() {
   stepper::plan_changed();
 }
 
-Block* generating() { return next_up == head ? nullptr : &blocks[next_up]; }
+Block* generating() { return waiting == 0 ? nullptr : &blocks[next_up]; }
 
-void generated() { next_up = after(next_up); }
+void generated() {
+  next_up = after(next_up);
+  --waiting;
+}
 
 float exit2() {
-  uint8_t following = after(next_up);
-  return following == head ? 0.0f : blocks[following].entry2;
+  return waiting > 1 ? blocks[after(next_up)].entry2 : 0.0f;
 }
 
 Block& block_at(uint8_t index) { return blocks[index]; }
 
 uint8_t generating_index() { return next_up; }
 
-void release() { tail = after(tail); }
+void release() { held = static_cast<uint8_t>(held - 1); }
 
 }  // namespace planner
 }  // namespace uvgs

@@ -9,18 +9,28 @@ namespace planner {
 constexpr uint8_t BLOCKS = 15;
 
 struct Block {
-  uint32_t steps[AXES];
-  uint8_t negative;        // bit per axis
-  float length_mm;         // of the whole move
+  int32_t steps[AXES];
+  float length_mm;           // of the whole move
   float entry2, max_entry2;  // squared speeds, mm2/s2
   float nominal_mm_s, mm_s2;
 
+  uint32_t count(uint8_t axis) const {
+    return static_cast<uint32_t>(steps[axis] < 0 ? -steps[axis] : steps[axis]);
+  }
+  // Steps of the axis that has most: the events the interrupt counts.
   uint32_t events() const {
-    uint32_t most = steps[0];
-    for (uint8_t i = 1; i < AXES; ++i) most = steps[i] > most ? steps[i] : most;
+    uint32_t most = 0;
+    for (uint8_t i = 0; i < AXES; ++i) most = count(i) > most ? count(i) : most;
     return most;
   }
+  uint8_t negative() const {
+    uint8_t axes = 0;
+    for (uint8_t i = 0; i < AXES; ++i)
+      if (steps[i] < 0) axes |= static_cast<uint8_t>(1 << i);
+    return axes;
+  }
 };
+static_assert(BLOCKS <= 16, "a segment keeps the index of its block in four bits");
 
 void clear();
 bool is_empty();

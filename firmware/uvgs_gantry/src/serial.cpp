@@ -8,14 +8,16 @@ namespace uvgs {
 namespace serial {
 namespace {
 
-constexpr uint8_t TX_BYTES = 64;
+constexpr uint8_t TX_BYTES = 48;
 uint8_t rx[RX_BYTES], tx[TX_BYTES];
-// Indices run freely; the difference is the number of bytes held.
+// The receive indices run freely and their difference is the number of bytes held; the others wrap, one slot is free.
 volatile uint8_t rx_in, rx_out, tx_in, tx_out;
 volatile uint16_t lost;
 volatile uint32_t heard_ticks;
 uint16_t sum;
 bool is_summing;
+
+uint8_t after_tx(uint8_t index) { return index + 1 == TX_BYTES ? 0 : static_cast<uint8_t>(index + 1); }
 
 }  // namespace
 
@@ -40,8 +42,8 @@ void on_received(uint8_t byte) {
 
 bool next_to_send(uint8_t& byte) {
   if (tx_in == tx_out) return false;
-  byte = tx[tx_out & (TX_BYTES - 1)];
-  tx_out = static_cast<uint8_t>(tx_out + 1);
+  byte = tx[tx_out];
+  tx_out = after_tx(tx_out);
   return true;
 }
 
@@ -74,15 +76,15 @@ void forget_received() {
 void put(char character) {
   uint8_t byte = static_cast<uint8_t>(character);
   if (is_summing) sum = crc16(sum, byte);
-  while (static_cast<uint8_t>(tx_in - tx_out) == TX_BYTES) {
+  while (after_tx(tx_in) == tx_out) {
     stepper::prepare();
     hal::watchdog_feed();
     hal::idle(false);
   }
   {
     hal::Quiet quiet;
-    tx[tx_in & (TX_BYTES - 1)] = byte;
-    tx_in = static_cast<uint8_t>(tx_in + 1);
+    tx[tx_in] = byte;
+    tx_in = after_tx(tx_in);
   }
   hal::start_sending();
 }

@@ -97,7 +97,7 @@ float get(const Entry& e) {
 // --- memory: boot number at 0 and 4 (value, complement), settings at 16 and 272 (layout, turn, CRC, struct) ---
 
 constexpr uint8_t LAYOUT = 1;
-constexpr uint16_t COPY_AT[2] = {16, 272};
+constexpr uint16_t FIRST_COPY = 16, SECOND_COPY = 272;
 constexpr uint8_t HEADER = 4;
 constexpr uint16_t COPY_BYTES = HEADER + sizeof(Settings);
 static_assert(COPY_BYTES <= 256, "two copies must fit");
@@ -159,11 +159,11 @@ void count_boot() {
 
 bool load() {
   count_boot();
-  bool has_first = read_copy(COPY_AT[0]);
+  bool has_first = read_copy(FIRST_COPY);
   uint8_t first_turn = turn;
   // The second is read over the first; when it is the older one the first is read again.
-  bool has_second = read_copy(COPY_AT[1]);
-  if (has_first && has_second && static_cast<int8_t>(turn - first_turn) < 0) read_copy(COPY_AT[0]);
+  bool has_second = read_copy(SECOND_COPY);
+  if (has_first && has_second && static_cast<int8_t>(turn - first_turn) < 0) read_copy(FIRST_COPY);
   bool is_whole = has_first || has_second;
   if (!is_whole) {
     for (uint8_t i = 0; i < COUNT; ++i) put(entry(i), entry(i).preset);
@@ -228,31 +228,33 @@ void print_all(bool extended) {
 
 bool is_writing() { return writing != 0; }
 
-bool next_to_write(uint16_t& address, uint8_t& value) {
-  while (writing != 0) {
+Write next_to_write(uint16_t& address, uint8_t& value) {
+  // Few at a time, since the step interrupt waits for this one.
+  for (uint8_t tries = 0; tries < 8; ++tries) {
+    if (writing == 0) return Write::done;
+    uint16_t index = write_index;
+    write_index = index + 1;
     if (writing & WRITE_BOOT) {
-      if (write_index < sizeof(boot_bytes)) {
-        address = static_cast<uint16_t>((boot & 1) * 4 + write_index);
-        value = boot_bytes[write_index];
-        write_index = write_index + 1;
-        return true;
+      if (index < sizeof(boot_bytes)) {
+        address = static_cast<uint16_t>((boot & 1) * 4 + index);
+        value = boot_bytes[index];
+        return Write::byte;
       }
       write_index = 0;
       writing = writing & static_cast<uint8_t>(~WRITE_BOOT);
       continue;
     }
-    while (write_index < COPY_BYTES) {
-      uint16_t index = write_index;
-      address = static_cast<uint16_t>(COPY_AT[header[1] & 1] + index);
-      value = index < HEADER ? header[index] : reinterpret_cast<uint8_t*>(&now)[index - HEADER];
-      write_index = index + 1;
-      if (hal::eeprom_read(address) != value) return true;
+    if (index == COPY_BYTES) {
+      writing = 0;
+      // The next change goes to the other copy.
+      turn = static_cast<uint8_t>(header[1] + 1);
+      continue;
     }
-    writing = 0;
-    // The next change goes to the other copy.
-    turn = static_cast<uint8_t>(header[1] + 1);
+    address = static_cast<uint16_t>((header[1] & 1 ? SECOND_COPY : FIRST_COPY) + index);
+    value = index < HEADER ? header[index] : reinterpret_cast<uint8_t*>(&now)[index - HEADER];
+    if (hal::eeprom_read(address) != value) return Write::byte;
   }
-  return false;
+  return Write::again;
 }
 
 }  // namespace settings

@@ -26,8 +26,9 @@ void restore_defaults();
 // Prints $0..$132, or $200.. when extended.
 void print_all(bool extended);
 bool is_writing();
-// Interrupt: the next byte that differs from the memory; false when all is stored.
-bool next_to_write(uint16_t& address, uint8_t& value);
+// Interrupt: the next byte that differs from the memory. `again`: none of the few looked at, ask again soon.
+enum class Write : uint8_t { done, again, byte };
+Write next_to_write(uint16_t& address, uint8_t& value);
 
 }  // namespace settings
 }  // namespace uvgs

@@ -25,8 +25,8 @@ constexpr uint32_t SWING_TICKS = 30 * TICKS_PER_MS;
 struct Segment {
   uint32_t ticks;  // per interrupt
   uint16_t events;  // interrupts
-  uint8_t block;
-  uint8_t level : 4;
+  uint8_t block : 4;
+  uint8_t level : 3;
   uint8_t is_last : 1;  // of its block
 };
 
@@ -156,8 +156,8 @@ void push_segment(uint32_t steps, float seconds_per_step, bool is_last) {
   Segment& segment = ring[ring_in];
   segment.ticks = ticks;
   segment.events = static_cast<uint16_t>(steps << level);
-  segment.block = planner::generating_index();
-  segment.level = level;
+  segment.block = planner::generating_index() & 0x0F;
+  segment.level = level & 0x07;
   segment.is_last = is_last;
   hal::Quiet quiet;
   ring_in = next_slot(ring_in);
@@ -326,14 +326,14 @@ void load(const Segment& segment) {
     current_block = segment.block;
     modulus = block.events() << MOST_OVERSAMPLED;
     for (uint8_t i = 0; i < AXES; ++i) counter[i] = modulus >> 1;
-    out_negative = block.negative;
+    out_negative = block.negative();
     hal::set_directions(out_negative ^ settings::now.direction_invert);
     current_level = 0xFF;
   }
   if (segment.level != current_level) {
     const planner::Block& block = planner::block_at(segment.block);
     current_level = segment.level;
-    for (uint8_t i = 0; i < AXES; ++i) increment[i] = block.steps[i] << (MOST_OVERSAMPLED - current_level);
+    for (uint8_t i = 0; i < AXES; ++i) increment[i] = block.count(i) << (MOST_OVERSAMPLED - current_level);
   }
   current = segment;
   has_segment = true;

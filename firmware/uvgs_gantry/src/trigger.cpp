@@ -11,7 +11,7 @@ namespace {
 constexpr uint8_t STAMPS = 16;
 
 struct Stamp {
-  Instant instant;
+  uint32_t ticks;  // the low part of its moment: the rest is put back when it is printed within 35 minutes
   int32_t position[AXES];
   char kind;
 };
@@ -27,7 +27,7 @@ int32_t armed_at, armed_every;
 
 void stamp(char kind, Instant instant) {
   Stamp& entry = ring[total & (STAMPS - 1)];
-  entry.instant = instant;
+  entry.ticks = instant.ticks();
   entry.kind = kind;
   for (uint8_t i = 0; i < AXES; ++i) entry.position[i] = stepper::position_in_interrupt(i);
   total = total + 1;
@@ -36,6 +36,15 @@ void stamp(char kind, Instant instant) {
   } else {
     is_lost = true;
   }
+}
+
+Instant whole(uint32_t ticks) {
+  Instant moment = hal::now();
+  uint32_t age = moment.ticks() - ticks;
+  // Borrow when the low part of the age is more than that of now.
+  moment.high -= (age >> 16) + (static_cast<uint16_t>(age) > moment.low ? 1 : 0);
+  moment.low = static_cast<uint16_t>(ticks);
+  return moment;
 }
 
 void fire_in_interrupt() {
@@ -84,7 +93,7 @@ void print_stamps() {
     serial::put('|');
     serial::put(entry.kind);
     serial::put('|');
-    serial::microseconds(entry.instant);
+    serial::microseconds(whole(entry.ticks));
     for (uint8_t i = 0; i < AXES; ++i) {
       serial::put(i == 0 ? '|' : ',');
       serial::number(entry.position[i]);
