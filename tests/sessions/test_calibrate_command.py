@@ -11,7 +11,7 @@ import pytest
 
 from uvgs_bench.camera.boards import Board, board_texture
 from uvgs_bench.cli.app import main
-from uvgs_bench.errors import CaptureError, ConfigError
+from uvgs_bench.errors import CaptureError
 from uvgs_bench.geometry.se3 import so3_exp
 from uvgs_bench.sessions.calibrate import calibrate_from_source
 from uvgs_bench.sessions.events import Event, Remark, StageAdvanced
@@ -152,6 +152,9 @@ class Source:
     def __iter__(self):
         return iter(self.captures)
 
+    def grab(self):
+        return None
+
 
 def test_session_speaks_of_every_picture(pictures):
     from uvgs_bench.sensor.capture import Capture
@@ -168,9 +171,9 @@ def test_session_speaks_of_every_picture(pictures):
     assert any(isinstance(event, Remark) and "p2: board_not_found" in event.text for event in heard)
 
 
-def test_live_source_needs_a_limit_and_an_empty_one_is_an_error():
+def test_source_without_pictures_is_an_error():
     board = read_board(BOARD)
-    with pytest.raises(ConfigError, match="number of captures"):
+    with pytest.raises(CaptureError, match="no pictures"):
         calibrate_from_source(Source([], is_live=True), board, "fov")  # type: ignore[arg-type]
     with pytest.raises(CaptureError, match="no pictures"):
         calibrate_from_source(Source([]), board, "fov")  # type: ignore[arg-type]
@@ -240,8 +243,17 @@ def test_what_the_calibration_does_to_a_beacon_is_said_by_range(pictures, tmp_pa
     assert run("calibrate", source, "--board", BOARD, "--out", tmp_path / "c.yaml", "--beacon", beacon) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "facing the camera, 1σ" in printed
-    assert "2 m calibration x" in printed
-    assert "LED noise 0.05 px x" in printed
+    assert "LEDs ±0.05 px: mm" in printed
+    # The same in the file, once it is written, and as numbers.
+    assert run("camera", "show", tmp_path / "c.yaml", "--beacon", beacon, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["pose"]["ranges"]
+    assert [row["range_m"] for row in rows] == [0.5, 1.0, 2.0, 4.0]
+    far, near = rows[2], rows[1]
+    # Lateral noise grows with the distance; that of the range with its square.
+    assert far["noise_sigma_mm"][0] == pytest.approx(2.0 * near["noise_sigma_mm"][0], rel=0.2)
+    assert far["noise_sigma_mm"][2] == pytest.approx(4.0 * near["noise_sigma_mm"][2], rel=0.1)
+    x, y, z = near["calibration_sigma_mm"]
+    assert f"{x:.2f} {y:.2f} {z:.2f}" in printed
 
 
 def test_a_report_is_written_when_asked_for_and_shows_the_worst_pictures(pictures, tmp_path, capsys):

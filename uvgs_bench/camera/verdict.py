@@ -15,8 +15,9 @@ import numpy as np
 
 from uvgs_bench.camera.calibration import Verdict
 from uvgs_bench.camera.fitting import CalibrationResult
+from uvgs_bench.camera.lens import Lens
 from uvgs_bench.camera.projection_uncertainty import picture_grid, projection_uncertainty, worst_sigma
-from uvgs_bench.camera.residual_structure import cell_centres_px
+from uvgs_bench.camera.residual_structure import Coverage, cell_centres_px
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.units import deg_from_rad, rad_from_deg
 
@@ -58,10 +59,12 @@ NOISE_FLOOR_PX = 0.02
 """Held-out errors below need no ratio: no corner finder is better."""
 
 _GRID = (25, 19)
-_WISHED_VIEWS = 20
+WISHED_VIEWS = 20
+"""Number of views wished for."""
 _WISHED_TILT_RAD = rad_from_deg(30.0)
 _WISHED_TILTED = 4
-_WISHED_REACH = 1.5
+WISHED_REACH = 1.5
+"""Farthest distance of a board over the nearest one, wished for."""
 
 
 def total_error_px(result: CalibrationResult, px: FloatArray) -> FloatArray:
@@ -93,7 +96,7 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
     covered_px, whole_px = result.coverage.radius_px, result.coverage.picture_radius_px
     radius_px = min(good_px, covered_px)
     refused = _refusals(result)
-    wishes = _next_pictures(result)
+    wishes = next_pictures(lens, result.coverage, result.calibration.view_count)
     if radius_px < LEAST_SHARE * whole_px:
         what = (
             f"the error stays below {LIMIT_PX} px only within {good_px:.0f} px of the principal point"
@@ -223,9 +226,17 @@ def _drift(result: CalibrationResult) -> tuple[float, float] | None:
     return trends.drift, trends.drift_sigma
 
 
-def _next_pictures(result: CalibrationResult) -> tuple[str, ...]:
-    """What to photograph next: what limits the result first."""
-    lens, covered = result.calibration.lens, result.coverage
+def next_pictures(lens: Lens, covered: Coverage, view_count: int) -> tuple[str, ...]:
+    """What to photograph next: what limits the result first.
+
+    Args:
+        lens: The lens so far.
+        covered: Where the boards were.
+        view_count: Number of views.
+
+    Returns:
+        Sentences for people; empty when nothing is missing.
+    """
     said = []
     tilted = int((covered.tilts_rad > _WISHED_TILT_RAD).sum())
     if tilted < _WISHED_TILTED:
@@ -238,11 +249,11 @@ def _next_pictures(result: CalibrationResult) -> tuple[str, ...]:
             words = [_place(u, v) for u, v in place]
             ranked = sorted(set(words), key=lambda word: (-words.count(word), word))
             said.append(f"the board filling the {', '.join(ranked[:3])} of the picture")
-    if float(covered.distances_m.max()) < _WISHED_REACH * float(covered.distances_m.min()):
+    if float(covered.distances_m.max()) < WISHED_REACH * float(covered.distances_m.min()):
         near = 0.5 * float(np.median(covered.distances_m))
         said.append(f"some closer, about {near:.2f} m away: all boards were at nearly one distance")
-    if result.calibration.view_count < _WISHED_VIEWS:
-        said.append(f"{_WISHED_VIEWS - result.calibration.view_count} more in all, to make {_WISHED_VIEWS}")
+    if view_count < WISHED_VIEWS:
+        said.append(f"{WISHED_VIEWS - view_count} more in all, to make {WISHED_VIEWS}")
     return tuple(said)
 
 

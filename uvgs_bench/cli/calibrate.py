@@ -12,17 +12,14 @@ from uvgs_bench.cli.options import Json, Quiet
 from uvgs_bench.errors import ConfigError, ExitCode
 
 if TYPE_CHECKING:
-    from uvgs_bench.beacon.geometry import Beacon
-    from uvgs_bench.camera import Calibration, CalibrationResult
+    from uvgs_bench.camera import CalibrationResult
     from uvgs_bench.camera.calibration import Verdict
-
-_RANGES_M = (0.5, 1.0, 2.0, 4.0)
-# Of a bright LED's centre in one coordinate of one picture.
-_LED_NOISE_PX = 0.05
 
 
 def calibrate(
-    source: Annotated[str, typer.Argument(help="Pictures of the board: images:DIR, video:FILE or uvc:0.")],
+    source: Annotated[
+        str, typer.Argument(help="Pictures of the board: images:DIR, video:FILE, bag:FILE, or a live camera as uvc:0.")
+    ],
     board: Annotated[Path, typer.Option("--board", help="Board file.")],
     out: Annotated[Path, typer.Option("--out", help="Camera file to write (camera_info YAML).")],
     model: Annotated[
@@ -37,6 +34,9 @@ def calibrate(
         bool, typer.Option("--board-shape", help="Also estimate the bow and the stretch of the printed board.")
     ] = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many captures.")] = None,
+    keep: Annotated[
+        Path | None, typer.Option("--keep", help="Folder for the pictures taken from a live camera (PNG).")
+    ] = None,
     beacon: Annotated[
         Path | None, typer.Option("--beacon", help="Beacon file: also say what the calibration does to its pose.")
     ] = None,
@@ -51,11 +51,16 @@ def calibrate(
 ) -> None:
     """Calibrate a camera from pictures of a board.
 
+    A live camera takes a picture by itself whenever the board, held still, shows something new; what is still missing
+    is said, and it ends when that is enough.
+
     Exit code 0: usable, at least within a radius. 1: not usable. 3: too few pictures to tell. With 1 and 3 no camera
     file is written unless --force is given; it then carries the verdict. A report asked for is written in any case.
     """
     from uvgs_bench.camera import LENSES
+    from uvgs_bench.cli.beacon_pose import pose_summary, print_pose_summary
     from uvgs_bench.cli.console import console, emit_json, print_path, progress_sink
+    from uvgs_bench.cli.live_views import live_sink
     from uvgs_bench.devices.cameras.registry import open_camera
     from uvgs_bench.sessions.calibrate import AUTO_LENS, calibrate_from_source
     from uvgs_bench.store.beacons import read_beacon
@@ -74,7 +79,7 @@ def calibrate(
         source += ("&" if "?" in source else "?") + f"glob={glob}"
     declared = read_board(board)
     carried = None if beacon is None else read_beacon(beacon)
-    with open_camera(source) as camera, progress_sink(quiet=quiet) as sink:
+    with open_camera(source) as camera, (live_sink if camera.is_live else progress_sink)(quiet=quiet) as sink:
         result = calibrate_from_source(
             camera,
             declared,
@@ -84,6 +89,7 @@ def calibrate(
             reject_outliers=not no_reject,
             limit=limit,
             is_board_free=board_shape,
+            keep=keep,
         )
     verdict = result.calibration.verdict
     assert verdict is not None
@@ -92,7 +98,7 @@ def calibrate(
         _show(result)
         _show_verdict(verdict)
         if carried is not None:
-            _show_pose_doubt(result.calibration, carried)
+            print_pose_summary(result.calibration, carried)
     is_written = verdict.is_usable or force
     if is_written:
         write_calibration(out, result.calibration, force=force)
@@ -104,7 +110,8 @@ def calibrate(
         if not as_json:
             print_reports(files)
     if as_json:
-        emit_json(_summary(result, out if is_written else None) | {"report": files or None})
+        forecast = None if carried is None else pose_summary(result.calibration, carried)
+        emit_json(_summary(result, out if is_written else None) | {"pose": forecast, "report": files or None})
     elif is_written:
         print_path("written", out)
     else:
@@ -136,10 +143,12 @@ def _summary(result: CalibrationResult, out: Path | None) -> dict[str, object]:
         "rms_per_axis_px": fitted.rms_per_axis_px,
         "rms_mrad": float(mrad_from_rad(result.structure.rms_rad)),
         "held_out_rms_px": held_out if held_out is not None and isfinite(held_out) else None,
+        "held_out_rms_mrad": _in_mrad(result, held_out),
         "split_half": None
         if halves is None
         else {
             "difference_px": halves.difference_px,
+            "difference_mrad": _in_mrad(result, halves.difference_px),
             "predicted_px": halves.predicted_px,
             "ratio": halves.ratio,
         },
@@ -165,6 +174,21 @@ def _summary(result: CalibrationResult, out: Path | None) -> dict[str, object]:
         "misses": [{"picture": m.name, "reason": m.reason, "detail": m.detail} for m in result.misses],
         "warnings": list(result.warnings),
     }
+
+
+def _in_mrad(result: CalibrationResult, error_px: float | None) -> float | None:
+    """Pixels as an angle, at the mean scale of the seen corners."""
+    from uvgs_bench.units import mrad_from_rad
+
+    rms_px = result.calibration.rms_px
+    if error_px is None or not rms_px or not isfinite(error_px):
+        return None
+    return float(mrad_from_rad(error_px * result.structure.rms_rad / rms_px))
+
+
+def _mrad_text(result: CalibrationResult, error_px: float) -> str:
+    mrad = _in_mrad(result, error_px)
+    return "no angle" if mrad is None else f"{mrad:.3f} mrad"
 
 
 def _show(result: CalibrationResult) -> None:
@@ -196,13 +220,14 @@ def _show(result: CalibrationResult) -> None:
     out.print(f"RMS          {fitted.rms_px:.4f} px (of residual lengths) = {per_axis}")
     if result.rejected:
         out.print(f"  all corners {everything.rms_px:.4f} px before outliers were set aside", style="dim")
-    held_out = "too few views" if fitted.held_out_rms_px is None else f"{fitted.held_out_rms_px:.4f} px"
+    unseen = fitted.held_out_rms_px
+    held_out = "too few views" if unseen is None else f"{unseen:.4f} px = {_mrad_text(result, unseen)}"
     out.print(f"held out     {held_out}")
     halves = result.split_half
     if halves is not None:
         out.print(
-            f"two halves   differ by {halves.difference_px:.3f} px, predicted {halves.predicted_px:.3f} px: "
-            f"ratio {halves.ratio:.2f}"
+            f"two halves   differ by {halves.difference_px:.3f} px = {_mrad_text(result, halves.difference_px)}, "
+            f"predicted {halves.predicted_px:.3f} px: ratio {halves.ratio:.2f}"
         )
     structure, covered = result.structure, result.coverage
     out.print(
@@ -248,35 +273,3 @@ def _show_verdict(verdict: Verdict) -> None:
         out.print(f"  because {reason}", markup=False)
     for wish in verdict.next_pictures:
         out.print(f"  next: {wish}", markup=False)
-
-
-def _show_pose_doubt(calibration: Calibration, beacon: Beacon) -> None:
-    """Print what the calibration does to the pose of a beacon that faces the camera on its axis."""
-    import numpy as np
-
-    from uvgs_bench.camera.pose_doubt import pose_doubt
-    from uvgs_bench.cli.console import out
-    from uvgs_bench.errors import CalibrationError
-    from uvgs_bench.geometry import Pose
-    from uvgs_bench.units import mm_from_m, mrad_from_rad
-
-    out.print(f"pose of {beacon.name} facing the camera, 1σ (calibration: the same in every picture)", markup=False)
-    points_m = np.array([led.position_m for led in beacon.leds])
-    for range_m in _RANGES_M:
-        pose = Pose(np.eye(3), np.array([0.0, 0.0, range_m]), "camera", "beacon")
-        if not calibration.lens.contains(calibration.lens.project(pose.apply(points_m))).all():
-            out.print(f"  {range_m:g} m  not whole in the picture")
-            continue
-        try:
-            doubt = pose_doubt(calibration, points_m, pose, _LED_NOISE_PX)
-        except CalibrationError as error:
-            out.print(f"  {range_m:g} m  {error}", markup=False)
-            continue
-        parts = []
-        for name, sigmas in (
-            ("calibration", doubt.calibration_sigmas),
-            (f"LED noise {_LED_NOISE_PX} px", doubt.noise_sigmas),
-        ):
-            x, y, z = mm_from_m(sigmas[3:])
-            parts.append(f"{name} x {x:.2f} y {y:.2f} z {z:.2f} mm, {mrad_from_rad(sigmas[:3]).max():.2f} mrad")
-        out.print(f"  {range_m:g} m  {'; '.join(parts)}")

@@ -28,29 +28,31 @@ def show(
         Path | None, typer.Option("--report", help="Folder for report.html, report.pdf and report.json.")
     ] = None,
     beacon: Annotated[
-        Path | None, typer.Option("--beacon", help="Beacon file: the report also says what the lens does to its pose.")
+        Path | None, typer.Option("--beacon", help="Beacon file: also say what the calibration does to its pose.")
     ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Show a lens: numbers, doubt, field of view, provenance; as a page with maps with --report."""
+    from uvgs_bench.cli.beacon_pose import pose_summary, print_pose_summary
     from uvgs_bench.cli.console import emit_json
+    from uvgs_bench.store.beacons import read_beacon
     from uvgs_bench.store.calibrations import read_calibration
 
-    if beacon is not None and report is None:
-        raise ConfigError("needs --report", "--beacon")
     calibration = read_calibration(path)
+    carried = None if beacon is None else read_beacon(beacon)
     files: dict[str, str] = {}
     if report is not None:
         from uvgs_bench.cli.calibration_report import print_reports, write_calibration_report
-        from uvgs_bench.store.beacons import read_beacon
 
-        carried = None if beacon is None else read_beacon(beacon)
         files = write_calibration_report(report, calibration, beacon=carried, force=force)
     if as_json:
-        emit_json(_summary(calibration) | {"report": files or None})
+        forecast = None if carried is None else pose_summary(calibration, carried)
+        emit_json(_summary(calibration) | {"pose": forecast, "report": files or None})
         return
     _print(calibration)
+    if carried is not None:
+        print_pose_summary(calibration, carried)
     if files:
         print_reports(files)
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 
 from uvgs_bench import __version__
 from uvgs_bench.camera import Board, BoardView, CalibrationResult, calibrate
@@ -15,14 +16,17 @@ from uvgs_bench.camera.boards import BoardMiss
 from uvgs_bench.camera.fitting import MIN_VIEWS, fit
 from uvgs_bench.camera.lens_choice import LensTrial, choose_lens
 from uvgs_bench.devices.cameras.source import CameraSource
-from uvgs_bench.errors import TooFewViews
+from uvgs_bench.errors import ConfigError, TooFewViews
 from uvgs_bench.geometry import Pose
 from uvgs_bench.sessions.events import EventSink, Remark, StageFinished, StageStarted, ignore_events
 from uvgs_bench.sessions.find_boards import find_boards
+from uvgs_bench.sessions.guided_views import guide_views
 from uvgs_bench.units import mm_from_m
 
 AUTO_LENS = "auto"
 """In place of a lens: the pictures choose it."""
+# One coefficient, near enough to any lens to see what is missing, with few views too.
+_GUIDING_LENS = "fov"
 
 
 def calibrate_from_source(
@@ -35,8 +39,9 @@ def calibrate_from_source(
     reject_outliers: bool = True,
     limit: int | None = None,
     is_board_free: bool = False,
+    keep: Path | None = None,
 ) -> CalibrationResult:
-    """Find the board in every capture of a source and fit a lens.
+    """Find the board in every capture of a recording, or lead through the views of a live camera, and fit a lens.
 
     Args:
         source: Captures of the board; it stays open.
@@ -45,19 +50,26 @@ def calibrate_from_source(
         sink: Where progress and remarks go.
         camera_name: For people.
         reject_outliers: Whether outlier corners are set aside.
-        limit: At most so many captures; a live camera needs one.
+        limit: At most so many captures; of a live camera, those looked at.
         is_board_free: Whether the bow and the stretch of the printed board are estimated too.
+        keep: Folder for the pictures taken from a live camera; none are kept when None.
 
     Returns:
         The calibration, with the pictures in which no usable board was found in ``misses``.
 
     Raises:
-        ConfigError: A live camera without a limit.
+        ConfigError: A folder for pictures of a recording, which has them already, or one that cannot be written.
         CaptureError: The source cannot be read, or gives no pictures.
         TooFewViews: The board was found in fewer than three pictures; the message says why.
         CalibrationError: The pictures differ in size, or no lens of the model fits.
     """
-    found = find_boards(source, board, sink=sink, limit=limit)
+    if source.is_live:
+        guide = _GUIDING_LENS if model == AUTO_LENS else model
+        found = guide_views(source, board, guide, sink=sink, limit=limit, keep=keep)
+    elif keep is not None:
+        raise ConfigError("is for live cameras: a recording keeps its pictures itself", "--keep")
+    else:
+        found = find_boards(source, board, sink=sink, limit=limit)
     views, misses = found.views, found.misses
     if len(views) < MIN_VIEWS:
         raise TooFewViews(_too_few(views, misses, board))

@@ -61,7 +61,28 @@ class Remark:
     text: str
 
 
-Event = StageStarted | StageAdvanced | StageFinished | Remark
+@dataclass(frozen=True, slots=True)
+class CoverageShown:
+    """Where the taking of board views stands after a capture.
+
+    Args:
+        views: Views taken so far.
+        captures: Captures looked at.
+        counts: Corners in each cell of the picture, row by row.
+        wishes: What is missing, most useful first.
+        said: What came of this capture, in a few words.
+        is_taken: Whether this capture was taken.
+    """
+
+    views: int
+    captures: int
+    counts: tuple[tuple[int, ...], ...]
+    wishes: tuple[str, ...]
+    said: str
+    is_taken: bool
+
+
+Event = StageStarted | StageAdvanced | StageFinished | Remark | CoverageShown
 EventSink = Callable[[Event], None]
 
 

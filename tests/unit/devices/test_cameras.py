@@ -132,7 +132,7 @@ def test_video_frames_and_times(tmp_path: Path) -> None:
         ("video:{file}", CaptureError, "no video"),
         ("uvc:987", CaptureError, "no such camera /dev/video987; cameras found: "),
         ("image:{empty}", ConfigError, "unknown kind of camera 'image', did you mean 'images'"),
-        ("zzz:1", ConfigError, "expected one of: images, video, uvc, sim"),
+        ("zzz:1", ConfigError, "expected one of: images, video, bag, uvc, sim, sim-board"),
         ("{empty}", ConfigError, "expected a camera like"),
         ("images:{empty}?glob", ConfigError, "name=value"),
         ("sim:no-such-bench", CaptureError, "no simulated bench"),
@@ -158,17 +158,24 @@ def test_truncated_video_says_where_it_ends(tmp_path: Path) -> None:
         list(open_camera(f"video:{path}"))
 
 
+def bag(path: Path) -> Path:
+    from tests.unit.devices.test_bag_camera import GREY, image, store, write
+
+    return write(path, {"/cam": [image(store(), "mono8", GREY + i, i) for i in (0, 1)]})
+
+
 def recorded_specs(tmp_path: Path) -> dict[str, str]:
     cv2.imwrite(str(tmp_path / "a1.png"), picture(1))
     cv2.imwrite(str(tmp_path / "a2.png"), picture(2))
     return {
         "images": f"images:{tmp_path}",
         "video": f"video:{video(tmp_path / 'v.mkv', 2)}",
+        "bag": f"bag:{bag(tmp_path / 'b.bag')}",
         "sim": f"sim:{EXAMPLE_BENCH}?count=2",
     }
 
 
-@pytest.mark.parametrize("scheme", sorted(set(CAMERAS) - {"uvc"}))
+@pytest.mark.parametrize("scheme", sorted(set(CAMERAS) - {"uvc", "sim-board"}))
 def test_contract(tmp_path: Path, scheme: str) -> None:
     spec = recorded_specs(tmp_path)[scheme]
     first, second = open_camera(spec), open_camera(spec)

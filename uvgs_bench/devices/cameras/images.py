@@ -109,22 +109,38 @@ def read_image(path: Path) -> ImageArray:
     Raises:
         CaptureError: It is missing, unreadable, truncated, or of another depth.
     """
-    import cv2
-
     try:
         payload = path.read_bytes()
     except OSError as error:
         raise CaptureError(f"cannot be read: {error.strerror or error}", str(path)) from None
+    return decode_image(payload, str(path))
+
+
+def decode_image(payload: bytes, source: str) -> ImageArray:
+    """Decode the bytes of a picture file as it is: mono (H, W) or BGR (H, W, 3), uint8 or uint16.
+
+    Args:
+        payload: The bytes.
+        source: Where they come from, for messages.
+
+    Returns:
+        The pixels; transparency is dropped.
+
+    Raises:
+        CaptureError: They are unreadable, truncated, or of another depth.
+    """
+    import cv2
+
     if truncation := _truncation(payload):
-        raise CaptureError(f"is truncated: {truncation}", str(path))
+        raise CaptureError(f"is truncated: {truncation}", source)
     try:
         image = cv2.imdecode(np.frombuffer(payload, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if payload else None
     except cv2.error:
         image = None
     if image is None:
-        raise CaptureError("is no readable picture" if payload else "is an empty file", str(path))
+        raise CaptureError("is no readable picture" if payload else "is an empty file", source)
     if image.dtype not in (np.uint8, np.uint16):
-        raise CaptureError(f"has pixels of type {image.dtype}, expected 8 or 16 bit", str(path))
+        raise CaptureError(f"has pixels of type {image.dtype}, expected 8 or 16 bit", source)
     if image.ndim == 3:
         channels = image.shape[2]
         image = image[:, :, 0] if channels in (1, 2) else image[:, :, :3]

@@ -15,8 +15,10 @@ from uvgs_bench.errors import ConfigError
 CAMERAS: dict[str, str] = {
     "images": "uvgs_bench.devices.cameras.images:ImageFolder",
     "video": "uvgs_bench.devices.cameras.video:VideoFile",
+    "bag": "uvgs_bench.devices.cameras.bag:BagImages",
     "uvc": "uvgs_bench.devices.cameras.uvc:UvcCamera",
     "sim": "uvgs_bench.devices.sim.camera:SimulatedCamera",
+    "sim-board": "uvgs_bench.devices.sim.waved_board:WavedBoard",
 }
 """Scheme -> ``module:Class``."""
 
@@ -25,7 +27,7 @@ def open_camera(spec: str, *, clock: Clock | None = None) -> CameraSource:
     """Open a camera or a recording.
 
     Args:
-        spec: ``images:FOLDER?glob=*.png``, ``video:FILE``, ``uvc:0`` or ``sim:NAME``.
+        spec: ``images:FOLDER?glob=*.png``, ``video:FILE``, ``bag:FILE?topic=/camera``, ``uvc:0`` or ``sim:NAME``.
         clock: The bench clock that stamps a live camera's captures; the machine's monotonic clock when None.
 
     Returns:
