@@ -201,3 +201,13 @@ def test_a_warning_comes_before_the_cores_clip(tmp_path, monkeypatch):
         monkeypatch.setattr(type(scene), "true_camera_from_beacon", lambda _scene, _t_ns, pose=facing: pose)
         image = SimulatedCamera(scene, "sim:", None).capture_at(0, 0).image
         assert (int(image.max()) == 255) == is_clipped
+
+
+def test_cores_that_clip_from_the_beginning_are_said_once(tmp_path):
+    bench = write_bench(tmp_path, peak_dn_at_1m=600.0)
+    for loop, expected in ((False, ["any: LED cores clip already at 0.94 m and 4 ms: expose shorter"]), (True, [])):
+        said: list[Event] = []
+        source, known = open_camera(f"sim:{bench}?count=4"), sensors(tmp_path)
+        exposure = ExposureLoop(source, known, ExposurePolicy()) if loop else None
+        list(solve_source(source, known, said.append, exposure=exposure))
+        assert [e.text for e in said if isinstance(e, Remark) and e.level == "warning"] == expected

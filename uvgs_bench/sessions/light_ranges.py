@@ -73,6 +73,8 @@ def range_limits(
 class ClipWatch:
     """Warns once per beacon of the range below which the cores of its LEDs clip, before that range is reached.
 
+    It is told from the first pose without clipped cores; where they clip from the beginning, that is said at once.
+
     Args:
         sensors: The sensors by beacon.
         sink: Where warnings go.
@@ -81,33 +83,46 @@ class ClipWatch:
 
     def __init__(self, sensors: Mapping[str, Uvgs], sink: EventSink, shortest_s: float | None = None) -> None:
         self._waiting = dict(sensors)
+        self._clipping: set[str] = set()
         self._sink = sink
         self._shortest_s = shortest_s
 
     def look(self, capture: Capture, outcomes: Mapping[str, Outcome]) -> None:
-        """Look at the first pose of each beacon."""
-        for name in tuple(self._waiting):
+        """Look at the poses of the beacons that nothing was said about yet."""
+        for name, uvgs in tuple(self._waiting.items()):
             outcome = outcomes[name]
-            if isinstance(outcome, PoseEstimate):
-                self._warn(capture, outcome, self._waiting.pop(name))
+            if not isinstance(outcome, PoseEstimate):
+                continue
+            level = led_levels(capture, outcome, None, len(uvgs.beacon.leds))[0]
+            if level.clipped_px2 > 0.0:
+                self._say_clipped(capture, outcome, name)
+            else:
+                self._warn(capture, outcome, level, self._waiting.pop(name))
 
-    def _warn(self, capture: Capture, pose: PoseEstimate, uvgs: Uvgs) -> None:
-        level = led_levels(capture, pose, None, len(uvgs.beacon.leds))[0]
-        range_m = float(np.linalg.norm(pose.camera_from_beacon.t_m))
+    def _say_clipped(self, capture: Capture, pose: PoseEstimate, name: str) -> None:
+        if name in self._clipping or self._shortest_s is not None:
+            return
+        self._clipping.add(name)
+        at = "" if capture.exposure_s is None else f" and {ms_from_s(capture.exposure_s):.3g} ms"
+        text = f"{name}: LED cores clip already at {_range_m(pose):.2f} m{at}: expose shorter"
+        self._sink(Remark("warning", text))
+
+    def _warn(self, capture: Capture, pose: PoseEstimate, level: LightLevel, uvgs: Uvgs) -> None:
+        range_m = _range_m(pose)
         # Without a known exposure only this one can be spoken of.
         taken_s = 1.0 if capture.exposure_s is None else capture.exposure_s
         model = saturation_model(level, range_m, taken_s, uvgs.calibration, uvgs.beacon)
         if model is None:
             return
-        is_controlled = self._shortest_s is not None and capture.exposure_s is not None
-        exposure_s = self._shortest_s if is_controlled and self._shortest_s is not None else taken_s
+        exposure_s = taken_s if capture.exposure_s is None or self._shortest_s is None else self._shortest_s
         limits = range_limits(model, exposure_s, uvgs.beacon, uvgs.config)
         clip = next((limit for limit in limits if limit.reason == "clips" and limit.side == "nearer"), None)
         if clip is None:
             return
         at = "this exposure" if capture.exposure_s is None else f"{ms_from_s(exposure_s):.3g} ms"
-        doubt = ", an estimate because they clip already" if level.clipped_px2 > 0.0 else ""
-        text = (
-            f"{uvgs.beacon.name}: LED cores clip below about {clip.range_m:.2f} m at {at} (now {range_m:.2f} m){doubt}"
-        )
+        text = f"{uvgs.beacon.name}: LED cores clip below about {clip.range_m:.2f} m at {at} (now {range_m:.2f} m)"
         self._sink(Remark("warning", text))
+
+
+def _range_m(pose: PoseEstimate) -> float:
+    return float(np.linalg.norm(pose.camera_from_beacon.t_m))
