@@ -61,7 +61,16 @@ def _map(evidence: ForecastEvidence, key: str, values: FloatArray, unit: str, wo
         for (k, i), value in np.ndenumerate(values):
             if np.isfinite(value):
                 colour = "#ffffff" if np.log10(max(value, 1e-9)) < middle else "#000000"
-                axes.text(i + 0.5, k + 0.5, f"{value:.3g}", ha="center", va="center", fontsize=7.5, color=colour)
+                axes.text(
+                    i + 0.5,
+                    k + 0.5,
+                    f"{value:.3g}",
+                    ha="center",
+                    va="center",
+                    in_layout=False,
+                    fontsize=7.5,
+                    color=colour,
+                )
         axes.set_xticks(np.arange(len(tilts)) + 0.5, tilts)
         axes.set_yticks(np.arange(len(ranges)) + 0.5, ranges)
         axes.tick_params(length=0)

@@ -79,7 +79,9 @@ def _map(lens: Lens, halves: SplitHalf, values: FloatArray, key: str, unit: str,
         for (u, v), value in zip(halves.grid_px, values, strict=True):
             if np.isfinite(value):
                 colour = "#ffffff" if value < 0.6 * top else "#000000"
-                axes.text(u, v, _short(float(value)), color=colour, fontsize=6.5, ha="center", va="center")
+                axes.text(
+                    u, v, _short(float(value)), color=colour, fontsize=6.5, ha="center", va="center", in_layout=False
+                )
         pad = 0.5 * step_u
         axes.set_xlim(-pad, lens.width_px - 1.0 + pad)
         axes.set_ylim(lens.height_px - 1.0 + pad, -pad)

@@ -75,7 +75,9 @@ def _correlations(calibration: Calibration) -> Figure:
         size = 7.0 if len(names) <= 9 else 5.0
         for (r, c), value in np.ndenumerate(rho):
             colour = "#ffffff" if abs(value) < 0.6 else "#000000"
-            axes.text(c + 0.5, r + 0.5, f"{value:.2f}", ha="center", va="center", fontsize=size, color=colour)
+            axes.text(
+                c + 0.5, r + 0.5, f"{value:.2f}", ha="center", va="center", in_layout=False, fontsize=size, color=colour
+            )
         ticks = np.arange(len(names)) + 0.5
         axes.set_xticks(ticks, names)
         axes.set_yticks(ticks, names)
