@@ -16,7 +16,7 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.camera.lens_kernels import unproject_point
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.compiled import compiled
-from uvgs_bench.sensor.pose_kernels import normal_equations
+from uvgs_bench.sensor.pose_kernels import normal_equations, solve_damped
 from uvgs_bench.sensor.solution import Solution
 from uvgs_bench.sensor.solvers.lambda_twist import solve_p3p
 from uvgs_bench.sensor.solvers.uvgs_lm import refine_pose
@@ -25,7 +25,7 @@ from uvgs_bench.sensor.solvers.uvgs_lm import refine_pose
 _MAX_ITERATIONS = 200
 # A fit worse than this per degree of freedom (chance 2e-6 with two) is not trusted to be the best one.
 _PLAUSIBLE_CHI2_PER_DOF = 13.0
-# A second start is dropped when it still costs this many times a plausible fit.
+# A second start is dropped when it costs this many times a plausible fit.
 _HOPELESS = 100.0
 # Triangles tried at most; four LEDs have four.
 _TRIANGLES = 4
@@ -103,6 +103,8 @@ def solve_named(
     costs = np.empty(4)
     H = np.empty((6, 6))
     g = np.empty(6)
+    L = np.empty((6, 6))
+    step = np.empty(6)
     residual = np.empty((n, 2))
     best = np.inf
     best_steps = 0
@@ -119,19 +121,22 @@ def solve_named(
             continue
         count = solve_p3p(rays, corners, Rs, ts)
         for root in range(count):
-            costs[root] = normal_equations(
-                model_id, lens, points, px, sigma, Rs[root], ts[root], ts[root], H, g, residual
-            )
+            cost = normal_equations(model_id, lens, points, px, sigma, Rs[root], ts[root], ts[root], H, g, residual)
+            # What one step promises tells the roots apart; before it, noise can make the right one look worse.
+            if cost < np.inf and solve_damped(H, g, 1e-9, step, L):
+                for i in range(6):
+                    cost -= g[i] * step[i]
+            costs[root] = cost
         for _ in range(count):
             root = 0
             for other in range(1, count):
                 if costs[other] < costs[root]:
                     root = other
-            if costs[root] == np.inf:
+            # Beside a plausible fit, a start that costs far more by its promise, or after three steps, cannot win.
+            give_up = _HOPELESS * plausible if best <= plausible else np.inf
+            if costs[root] == np.inf or costs[root] > give_up:
                 break
             costs[root] = np.inf
-            # Beside a plausible fit, a start that costs far more after three steps cannot win.
-            give_up = _HOPELESS * plausible if best <= plausible else np.inf
             chi2, steps, converged = refine_pose(
                 model_id, lens, points, px, sigma, Rs[root], ts[root], max_iterations, give_up
             )
