@@ -9,11 +9,15 @@ import numpy as np
 from uvgs_bench.accuracy.observations import Mount
 from uvgs_bench.devices.gantry.axes import Axis, AxisKind, Envelope
 from uvgs_bench.devices.gantry.registry import is_simulated
-from uvgs_bench.devices.sim.truth import SimulatedTruth
-from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.devices.sim.truth import SimulatedTruth, TruePose
+from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import m_from_mm, mps_from_mm_min, rad_from_deg, radps_from_deg_min
 
 UNJUDGED = "nobody: the axes are taken as the bench file declares them"
+_MOUNTED_FRAMES: dict[Mount, tuple[str, str]] = {
+    "beacon_on_carriage": ("carriage", "beacon"),
+    "camera_on_carriage": ("camera", "carriage"),
+}
 _UNIT_OF_KIND: dict[AxisKind, str] = {"linear": "mm", "rotary": "deg"}
 
 
@@ -150,6 +154,8 @@ class BenchFile:
         camera_source: Spec of the camera: ``uvc:0``, or ``sim:`` for the simulated one.
         mount: Which part rides the carriage.
         sensor: File with settings of the sensor; the defaults when absent.
+        mounted: Roughly how what rides the carriage sits on it, as built: carriage_from_beacon, or camera_from_carriage
+            with ``mount = "camera_on_carriage"``. Registrations take it where a sweep cannot tell.
         simulated: What is true on the simulated bench.
     """
 
@@ -160,7 +166,12 @@ class BenchFile:
     camera_source: str = "sim:"
     mount: Mount = "beacon_on_carriage"
     sensor: str | None = None
+    mounted: TruePose | None = None
     simulated: SimulatedTruth | None = None
+
+    def mounted_pose(self) -> Pose | None:
+        """The table ``[mounted]`` as a pose, or None."""
+        return None if self.mounted is None else self.mounted.pose(*_MOUNTED_FRAMES[self.mount])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,6 +194,7 @@ class Bench:
         nominal_axes: The axes as the bench file declares them.
         gantry_file: Path of the gantry's calibration, or None when the axes are taken as declared.
         judged_by: Who judged the gantry, in one line.
+        mounted: How what rides the carriage sits on it, as built, or None when the file does not say.
     """
 
     name: str
@@ -200,6 +212,7 @@ class Bench:
     nominal_axes: tuple[Axis, ...] = ()
     gantry_file: str | None = None
     judged_by: str = UNJUDGED
+    mounted: Pose | None = None
 
     @property
     def is_simulated(self) -> bool:

@@ -387,4 +387,5 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
         settle_s=procedure.settle_s,
         gantry_sigma_m=set_up.bench.position_sigma_m,
         sources=set_up.sources,
+        mounted=set_up.bench.mounted,
     )

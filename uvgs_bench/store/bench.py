@@ -59,6 +59,7 @@ def read_bench(path: Path) -> Bench:
         nominal_axes=nominal,
         gantry_file=None if gantry_file is None else str(gantry_file),
         judged_by=judged_by,
+        mounted=file.mounted_pose(),
     )
 
 

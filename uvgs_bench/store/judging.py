@@ -32,6 +32,7 @@ def judge_run(run: Run, *, seed: int | None = None) -> Judgement:
         np.random.default_rng(run.manifest.seed if seed is None else seed),
         run_completed=run.is_complete,
         gantry_sigma_m=run.manifest.gantry_sigma_m,
+        nominal=run.manifest.mounted,
     )
     remarks = [Alert("warning", remark) for remark in run.remarks]
     if run.ended != "completed":

@@ -181,8 +181,8 @@ def _record_from_pose(pose: Pose) -> dict[str, object]:
     return {"R": pose.R.ravel().tolist(), "t_m": pose.t_m.tolist()}
 
 
-def _pose_from_record(record: Mapping[str, Any]) -> Pose:
-    return Pose(_array(record["R"]).reshape(3, 3), _array(record["t_m"]), "camera", "beacon")
+def _pose_from_record(record: Mapping[str, Any], target: str = "camera", source: str = "beacon") -> Pose:
+    return Pose(_array(record["R"]).reshape(3, 3), _array(record["t_m"]), target, source)
 
 
 def tables_from_manifest(manifest: RunManifest) -> dict[str, object]:
@@ -201,6 +201,8 @@ def tables_from_manifest(manifest: RunManifest) -> dict[str, object]:
         {"quantity": limit.quantity, "bound": limit.bound, "value": float(limit.value), "unit": limit.unit}
         for limit in manifest.limits
     ]
+    if manifest.mounted is not None:
+        tables["mounted"] = _record_from_pose(manifest.mounted)
     return tables
 
 
@@ -249,9 +251,13 @@ def manifest_from_tables(tables: Mapping[str, Any]) -> RunManifest:
         known |= {key: dict(tables[key]) for key in _TABLE_KEYS}
         known["axes"] = tuple(_axis_from_table(table) for table in tables["axes"])
         known["limits"] = tuple(Limit(**table) for table in tables["limits"])
+        if "mounted" in tables:
+            is_carried = tables["mount"] == "beacon_on_carriage"
+            names = ("carriage", "beacon") if is_carried else ("camera", "carriage")
+            known["mounted"] = _pose_from_record(tables["mounted"], *names)
         return RunManifest(**known)
     except KeyError as error:
-        raise ValueError(f"axes: key {error} is missing") from None
+        raise ValueError(f"axes or mounted: key {error} is missing") from None
     except TypeError as error:
         raise ValueError(str(error)) from None
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from uvgs_bench.accuracy.observations import Mount, Role
 from uvgs_bench.devices.gantry.axes import Axis
-from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
 
 if TYPE_CHECKING:
@@ -94,6 +94,8 @@ class RunManifest:
         settle_s: Wait between arrival and the first exposure, s.
         gantry_sigma_m: Doubt of the carriage's position, standard deviation per axis, m.
         sources: Where each set-up file was read, by the name of its copy.
+        mounted: How what rides the carriage sits on it, as built: carriage_from_beacon or camera_from_carriage; None
+            when nobody said.
     """
 
     id: str
@@ -117,6 +119,7 @@ class RunManifest:
     settle_s: float = 0.0
     gantry_sigma_m: float = 5e-5
     sources: dict[str, str] = field(default_factory=dict)
+    mounted: Pose | None = None
 
 
 @dataclass(frozen=True, slots=True)

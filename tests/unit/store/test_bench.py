@@ -62,8 +62,22 @@ def test_units_and_paths(tmp_path: Path) -> None:
     assert bench.beacon_file == str(tmp_path / "sub" / "beacon.toml")
     assert (bench.mount, bench.gantry_port, bench.camera_source) == ("camera_on_carriage", "grbl:/dev/ttyACM0", "uvc:0")
     assert bench.sensor_file is None
+    assert bench.mounted is None
     assert bench.simulated is None
     assert not bench.is_simulated
+
+
+@pytest.mark.parametrize(
+    ("mount", "frames"),
+    [("beacon_on_carriage", ("carriage", "beacon")), ("camera_on_carriage", ("camera", "carriage"))],
+)
+def test_the_mount_as_built_is_read_in_the_frames_it_means(tmp_path: Path, mount: str, frames: tuple[str, str]) -> None:
+    table = "[mounted]\nposition_mm = [12.0, -25.0, 8.0]\neuler_zyx_deg = [90.0, 0.0, 0.0]\n"
+    text = BENCH.replace('"camera_on_carriage"', f'"{mount}"').replace("[gantry]", table + "[gantry]")
+    mounted = read_bench(written(tmp_path, text)).mounted
+    assert mounted is not None
+    assert (mounted.target, mounted.source) == frames
+    np.testing.assert_allclose(mounted.apply(np.array([1.0, 0.0, 0.0])), [0.012, 0.975, 0.008], atol=1e-12)
 
 
 def test_the_example_says_the_defaults() -> None:

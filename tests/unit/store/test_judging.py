@@ -14,6 +14,7 @@ import pytest
 from tests.helpers.synthetic_run import CAMERA_FROM_GANTRY, synthetic_run, write_run
 from uvgs_bench.accuracy import Limit
 from uvgs_bench.cli import app
+from uvgs_bench.geometry import Pose
 from uvgs_bench.store.judging import judge_run
 from uvgs_bench.store.observations import observations_from_run
 from uvgs_bench.store.run import read_run
@@ -52,6 +53,21 @@ def test_judgement_survives_the_disk(tmp_path: Path) -> None:
     again = read_run(write_run(run, tmp_path / "20260102T030405Z_synthetic"))
     assert judge_run(again).verdicts == judge_run(run).verdicts
     assert judge_run(again).verdict == "pass"
+
+
+def test_the_mount_as_built_decides_what_a_sweep_without_rotations_cannot_see(tmp_path: Path) -> None:
+    run = synthetic_run()
+    plain = judge_run(run).registration
+    assert plain is not None
+    built = Pose(plain.right.R, np.array([0.012, -0.025, 0.008]), "carriage", "beacon")
+    told = replace(run, manifest=replace(run.manifest, mounted=built))
+    path = write_run(told, tmp_path / "20260102T030405Z_synthetic")
+    registration = judge_run(read_run(path)).registration
+    assert registration is not None
+    assert len(registration.null_directions) == 3
+    # Three translations slide freely to where they were said to be; what was seen stays.
+    np.testing.assert_allclose(registration.right.t_m, built.t_m, atol=1e-9)
+    assert registration.right.is_close(Pose(plain.right.R, built.t_m, "carriage", "beacon"), 1e-9, 1e-9)
 
 
 def test_register_command_prints_and_writes(

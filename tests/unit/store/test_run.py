@@ -142,6 +142,17 @@ def test_a_manifest_survives_its_tables_bit_by_bit() -> None:
     read = manifest_from_tables(tomllib.loads(toml_text(tables_from_manifest(written))))
     assert same(replace(written, axes=()), replace(read, axes=()))
     assert all(same(a, b) for a, b in zip(written.axes, read.axes, strict=True))
+    assert read.mounted is None
+    for mount, names in (
+        ("beacon_on_carriage", ("carriage", "beacon")), ("camera_on_carriage", ("camera", "carriage")),
+    ):  # fmt: skip
+        mounted = Pose.exp(np.array([0.1, -2.0, 0.3, 1.0 / 3.0, 0.0, -0.1]), *names)
+        tables = tomllib.loads(toml_text(tables_from_manifest(manifest(mount=mount, mounted=mounted))))
+        again = manifest_from_tables(tables).mounted
+        assert again is not None
+        assert (again.target, again.source) == names
+        assert same(again.R, mounted.R)
+        assert same(again.t_m, mounted.t_m)
 
 
 def test_a_run_is_readable_while_it_is_written(tmp_path: Path) -> None:
