@@ -321,6 +321,26 @@ def test_resuming_refuses_what_changed_by_name(fake: FakeRig, tmp_path: Path) ->
         check_same_setup(run, fake.plan, {})
 
 
+def test_what_changed_can_be_accepted_and_is_kept_in_the_seam(fake: FakeRig, tmp_path: Path) -> None:
+    interrupt_at_move(fake, 3, KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(fake.plan, fake.rig, fake.writer())
+    run = read_run(fake.path)
+    accepted = check_same_setup(run, fake.plan, {"beacon.toml": "bb"}, accepts_changes=True)
+    assert accepted == ("beacon.toml",)
+    other = FakeRig(tmp_path / "x", stations=7)
+    with pytest.raises(RunError, match="planned stations$"):
+        check_same_setup(run, other.plan, {"beacon.toml": "bb"}, accepts_changes=True)
+    again = FakeRig(tmp_path / "again")
+    writer = RunWriter.reopen(run, again.clock.now_ns())
+    writer.keep_changed({"beacon.toml": b"changed"})
+    resume_sweep(run, again.plan, again.rig, writer, accepted=accepted)
+    run = read_run(fake.path)
+    assert run.is_complete
+    assert run.seams[0].accepted == ("beacon.toml",)
+    assert (fake.path / "setup" / "after_seam_1" / "beacon.toml").read_bytes() == b"changed"
+
+
 def test_resuming_refuses_when_something_moved_and_loses_nothing(fake: FakeRig, tmp_path: Path) -> None:
     interrupt_at_move(fake, 3, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):

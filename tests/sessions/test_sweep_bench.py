@@ -132,7 +132,7 @@ def test_an_interrupt_stops_the_motion_and_the_run_resumes(files: Path, tmp_path
     (path,) = tmp_path.iterdir()
     assert f"uvgs gantry-sweep --resume {path}" in "".join(stderr.split("\n"))
     run = read_run(path)
-    assert (run.ended, run.end_reason) == ("interrupted", "stopped by the user")
+    assert (run.ended, run.end_reason) == ("interrupted", "stopped by the user; the position is still known")
     log = (path / "gantry.log").read_text().splitlines()
     stop = max(i for i, line in enumerate(log) if line.endswith(">! 0x85"))
     assert not any("$J=" in line for line in log[stop:])
@@ -170,7 +170,7 @@ def test_resuming_names_what_changed_and_notices_a_moved_camera(files: Path, tmp
     path = _broken_run(own, tmp_path / "runs")
     run = read_run(path)
     (tmp_path / "own.toml").write_text(PROCEDURE.replace("2.0", "9.0"))
-    with pytest.raises(RunError, match=r"changed since it was begun: procedure\.toml$"):
+    with pytest.raises(RunError, match=r"changed since it was begun: procedure\.toml; --accept-changes"):
         resume(run, read_setup_of(run), simulated_speed=SPEED)
     (tmp_path / "own.toml").write_text(PROCEDURE)
     again = read_setup_of(run)

@@ -25,6 +25,10 @@ def gantry_sweep(
     ] = Path("reports"),
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check every point and path, move nothing.")] = False,
     resume_run: Annotated[Path | None, typer.Option("--resume", help="Run folder to take up again.")] = None,
+    accept_changes: Annotated[
+        bool,
+        typer.Option("--accept-changes", help="With --resume: also when files or settings changed; the run says so."),
+    ] = False,
     keep: Annotated[
         str, typer.Option(help="Pictures to keep: all, worst or none; a resumed run keeps what it kept.")
     ] = "all",
@@ -56,9 +60,11 @@ def gantry_sweep(
             run, procedure=procedure, bench=bench, camera=camera, gantry_spec=port, camera_spec=camera_source
         )
         with progress_sink(quiet=quiet) as sink:
-            result = resume(run, again, simulated_speed=sim_speed, sink=sink)
+            result = resume(run, again, simulated_speed=sim_speed, sink=sink, accepts_changes=accept_changes)
         _print_result(result, as_json)
         return
+    if accept_changes:
+        raise ConfigError("is said of a run that is taken up again: add --resume", key="--accept-changes")
     if procedure is None:
         raise ConfigError("name a procedure file, for example procedures/demo_grid.toml", key="PROCEDURE")
     if bench is None and not DEFAULT_BENCH.exists():

@@ -70,6 +70,10 @@ def _banners(run: Run) -> tuple[Alert, ...]:
         often = "once" if len(run.seams) == 1 else f"{len(run.seams)} times"
         text = f"This run was resumed {often}; the reference checks are in the set-up chapter."
         banners.append(Alert("info", text))
+    accepted = sorted({name for seam in run.seams for name in seam.accepted})
+    if accepted:
+        text = f"CHANGED WITHIN THE RUN and accepted by its user: {', '.join(accepted)}. Its parts are not alike."
+        banners.append(Alert("warning", text))
     return tuple(banners)
 
 

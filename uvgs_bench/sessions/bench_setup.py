@@ -21,7 +21,7 @@ from uvgs_bench.devices.gantry.registry import is_simulated, open_gantry, spec_o
 from uvgs_bench.errors import ConfigError, RunError, UnreadableDocument
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
-from uvgs_bench.sessions.events import EventSink, ignore_events
+from uvgs_bench.sessions.events import EventSink, Remark, ignore_events
 from uvgs_bench.sessions.interruption import interruptible
 from uvgs_bench.sessions.planning import Plan, plan
 from uvgs_bench.sessions.procedure import read_procedure
@@ -238,6 +238,7 @@ def resume(
     *,
     simulated_speed: float = DEFAULT_SIMULATED_SPEED,
     sink: EventSink = ignore_events,
+    accepts_changes: bool = False,
 ) -> SweepResult:
     """Open the bench and take up a run that ended early.
 
@@ -246,6 +247,7 @@ def resume(
         set_up: What was read now, by ``read_setup_of``.
         simulated_speed: How much faster than real time a simulated bench runs.
         sink: Receives progress.
+        accepts_changes: Whether changed files and settings are accepted; the seam names them and keeps the files.
 
     Returns:
         What was taken now.
@@ -257,10 +259,14 @@ def resume(
     """
     log = _EarlyLog()
     with interruptible(), open_rig(set_up, log, simulated_speed) as rig:
-        check_same_setup(run, set_up.plan, set_up.hashes(rig.gantry.info))
+        hashes = set_up.hashes(rig.gantry.info)
+        accepted = check_same_setup(run, set_up.plan, hashes, accepts_changes=accepts_changes)
         writer = RunWriter.reopen(run, rig.clock.now_ns())
         log.forward_to(writer)
-        return resume_sweep(run, set_up.plan, rig, writer, sink=sink)
+        if accepted:
+            sink(Remark("warning", f"taken up although changed since it was begun: {', '.join(accepted)}"))
+            writer.keep_changed({name: set_up.files[name] for name in accepted if name in set_up.files})
+        return resume_sweep(run, set_up.plan, rig, writer, sink=sink, accepted=accepted)
 
 
 class _EarlyLog:

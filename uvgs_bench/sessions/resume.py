@@ -57,13 +57,19 @@ class ReferenceCheck:
         return self.shift_m <= self.allowed_m and self.shift_rad <= self.allowed_rad
 
 
-def check_same_setup(run: Run, plan: Plan, hashes: Mapping[str, str]) -> None:
+def check_same_setup(
+    run: Run, plan: Plan, hashes: Mapping[str, str], *, accepts_changes: bool = False
+) -> tuple[str, ...]:
     """Refuse to resume a run on another set-up.
 
     Args:
         run: The run to resume.
         plan: The plan made now.
         hashes: SHA-256 of each set-up file and of the controller's settings now, by name.
+        accepts_changes: Whether the user said that files and settings may differ; the planned stations may not.
+
+    Returns:
+        What changed and is accepted, by name, for the seam.
 
     Raises:
         RunError: The run is complete, or something changed; the message names all that did.
@@ -76,11 +82,23 @@ def check_same_setup(run: Run, plan: Plan, hashes: Mapping[str, str]) -> None:
     changed += [f"{name} (missing)" for name in recorded if name not in hashes]
     if run.manifest.plan_hash != plan.plan_hash:
         changed.append("planned stations")
+    elif accepts_changes:
+        return tuple(changed)
     if changed:
-        raise RunError(f"cannot be resumed, changed since it was begun: {', '.join(changed)}", str(run.path))
+        hint = "" if changed[-1] == "planned stations" else "; --accept-changes takes it up all the same and marks it"
+        raise RunError(f"cannot be resumed, changed since it was begun: {', '.join(changed)}{hint}", str(run.path))
+    return ()
 
 
-def resume_sweep(run: Run, plan: Plan, rig: Rig, writer: RunWriter, *, sink: EventSink = ignore_events) -> SweepResult:
+def resume_sweep(
+    run: Run,
+    plan: Plan,
+    rig: Rig,
+    writer: RunWriter,
+    *,
+    sink: EventSink = ignore_events,
+    accepted: tuple[str, ...] = (),
+) -> SweepResult:
     """Home, look at a committed station again, mark the seam, and take what is missing.
 
     Args:
@@ -89,6 +107,7 @@ def resume_sweep(run: Run, plan: Plan, rig: Rig, writer: RunWriter, *, sink: Eve
         rig: The open devices.
         writer: The reopened run; closed on return.
         sink: Receives progress.
+        accepted: What changed since and is accepted, for the seam.
 
     Returns:
         What was taken now.
@@ -120,6 +139,7 @@ def resume_sweep(run: Run, plan: Plan, rig: Rig, writer: RunWriter, *, sink: Eve
                 reference_station=check.station,
                 shift_m=check.shift_m,
                 shift_rad=check.shift_rad,
+                accepted=accepted,
             )
         )
         sink(Remark("info", f"resumed: {len(committed)} of {len(plan.stations)} stations are on disk"))

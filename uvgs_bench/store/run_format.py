@@ -213,13 +213,14 @@ def table_from_end(ended: Ending, reason: str, ended_utc: str, sample_count: int
 
 def table_from_seam(seam: Seam) -> dict[str, object]:
     """One entry of ``seams`` in ``run.toml``."""
-    return {name: getattr(seam, name) for name in Seam.__slots__}
+    table = {name: getattr(seam, name) for name in Seam.__slots__}
+    return table | {"accepted": list(seam.accepted)}
 
 
 def seam_from_table(table: Mapping[str, Any]) -> Seam:
     """Read one entry of ``seams``. Raises ValueError when a key is missing or unknown."""
     try:
-        return Seam(**table)
+        return Seam(**(dict(table) | {"accepted": tuple(table.get("accepted", ()))}))
     except TypeError as error:
         raise ValueError(f"seams: {error}") from None
 

@@ -134,6 +134,7 @@ class Seam:
         reference_station: Station that was visited again to prove that nothing moved, or -1 when there was none.
         shift_m: Distance between its recorded and its new mean position, m.
         shift_rad: Angle between its recorded and its new mean attitude, rad.
+        accepted: Set-up files and settings that had changed, by name, and were accepted all the same.
     """
 
     resumed_utc: str
@@ -143,6 +144,7 @@ class Seam:
     reference_station: int = -1
     shift_m: float = 0.0
     shift_rad: float = 0.0
+    accepted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

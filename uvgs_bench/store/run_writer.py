@@ -135,6 +135,22 @@ class RunWriter:
         self._seams = (*self._seams, seam)
         self._write_manifest(None)
 
+    def keep_changed(self, files: Mapping[str, bytes]) -> None:
+        """Keep set-up files that changed, beside the first ones: ``setup/after_seam_N/``.
+
+        Args:
+            files: Content of each by its name.
+
+        Raises:
+            RunError: They cannot be written.
+        """
+        folder = self.path / SETUP / f"after_seam_{len(self._seams) + 1}"
+        try:
+            for name, content in files.items():
+                write_atomically(folder / name, content, force=True)
+        except UvgsError as error:
+            raise RunError(str(error)) from None
+
     def attempt_of(self, station: int) -> int:
         """Number of the current try at a station."""
         return self._attempt.get(station, 0)

@@ -41,6 +41,8 @@ def _run_table(run: Run) -> Table:
     for number, seam in enumerate(run.seams, start=1):
         moved = f"reference station off by {mm_from_m(seam.shift_m):.3f} mm, {deg_from_rad(seam.shift_rad):.4f} deg"
         checked = moved if seam.reference_station >= 0 else "no reference station to check"
+        if seam.accepted:
+            checked += f"; CHANGED since it was begun and accepted: {', '.join(seam.accepted)}"
         rows.append((f"Resumed, {number}", f"{seam.resumed_utc}, from sample {seam.first_index} on; {checked}"))
     rows += [("Remark", remark) for remark in run.remarks]
     return Table("The run.", (Column("What"), Column("Value")), tuple(rows))
