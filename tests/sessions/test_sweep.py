@@ -243,12 +243,33 @@ def test_an_untrusted_position_is_never_used(fake: FakeRig) -> None:
     assert read_run(fake.path).samples == ()
 
 
+@pytest.mark.parametrize(("keep", "flushes"), [("none", 1), ("all", 3)])
+def test_a_station_costs_one_flush_and_one_for_each_picture(
+    fake: FakeRig, monkeypatch: pytest.MonkeyPatch, keep: str, flushes: int
+) -> None:
+    writer = fake.writer(keep)
+    calls: list[str] = []
+    fsync = os.fsync
+
+    def counted(number: int) -> None:
+        calls.append(Path(os.readlink(f"/proc/self/fd/{number}")).name)
+        fsync(number)
+
+    monkeypatch.setattr(os, "fsync", counted)
+    moves = []
+    fake.gantry.before_move = lambda _move: moves.append(len(calls))
+    run_sweep(fake.plan, fake.rig, writer)
+    assert list(np.diff(moves)) == [flushes] * 5
+    # The line follows its pictures.
+    assert calls[flushes - 1] == "samples.jsonl"
+
+
 def test_a_full_disk_stops_the_motion_and_the_run_says_why(fake: FakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
     real, written = run_writer._write_whole, []
 
     def filling(stream: object, content: bytes) -> None:
         written.append(len(content))
-        if len(written) > 5:
+        if len(written) > 2:
             raise OSError(errno.ENOSPC, "No space left on device")
         real(stream, content)  # type: ignore[arg-type]
 
@@ -259,7 +280,7 @@ def test_a_full_disk_stops_the_motion_and_the_run_says_why(fake: FakeRig, monkey
     run = read_run(fake.path)
     assert run.ended == "failed"
     assert "the disk is full" in run.end_reason
-    assert len(run.samples) == 5
+    assert len(run.samples) == 4
 
 
 def resumed(fake: FakeRig, rig: FakeRig) -> Run:
@@ -288,18 +309,12 @@ def test_a_resumed_run_has_the_stations_of_an_uninterrupted_one(tmp_path: Path, 
 
 
 def test_a_half_done_station_is_taken_again_and_counts_once(fake: FakeRig, tmp_path: Path) -> None:
-    writer = fake.writer()
-    append, count = writer.append, []
-
-    def killed(*args: object) -> object:
-        count.append(1)
-        if len(count) == 6:
-            raise KeyboardInterrupt
-        return append(*args)  # type: ignore[arg-type]
-
-    writer.append = killed  # type: ignore[method-assign,assignment]
+    interrupt_at_move(fake, 3, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        run_sweep(fake.plan, fake.rig, writer)
+        run_sweep(fake.plan, fake.rig, fake.writer())
+    journal = fake.path / "samples.jsonl"
+    # As a power failure leaves it: one line of two.
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:5]))
     assert len(read_run(fake.path).samples) == 5
     run = resumed(fake, FakeRig(tmp_path / "unused"))
     assert [s.station for s in run.samples] == [i // 2 for i in range(12)]
@@ -329,7 +344,7 @@ def test_what_changed_can_be_accepted_and_is_kept_in_the_seam(fake: FakeRig, tmp
     accepted = check_same_setup(run, fake.plan, {"beacon.toml": "bb"}, accepts_changes=True)
     assert accepted == ("beacon.toml",)
     other = FakeRig(tmp_path / "x", stations=7)
-    with pytest.raises(RunError, match="planned stations$"):
+    with pytest.raises(RunError, match=r"planned stations$"):
         check_same_setup(run, other.plan, {"beacon.toml": "bb"}, accepts_changes=True)
     again = FakeRig(tmp_path / "again")
     writer = RunWriter.reopen(run, again.clock.now_ns())

@@ -18,7 +18,7 @@ from uvgs_bench.devices.gantry.gantry import Gantry, GantryState
 from uvgs_bench.errors import CaptureError, ConfigError, GantryLost, UvgsError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.se3 import hat, mean_rotation
-from uvgs_bench.sensor.capture import Capture
+from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
 from uvgs_bench.sessions.interruption import (
@@ -230,10 +230,10 @@ def _take_station(plan: Plan, station: Station, rig: Rig, writer: RunWriter) -> 
     taken = capture_station(plan, rig, rig.clock.now_ns())
     # Only captures of a carriage that stood still from before the first to after the last are written.
     state = _same_place(before, rig.gantry, station)
-    samples = []
+    samples: list[tuple[Sample, ImageArray | None]] = []
     for shot, (capture, outcome) in enumerate(taken):
         sample = Sample(
-            index=writer.sample_count,
+            index=writer.sample_count + shot,
             station=station.index,
             waypoint=station.waypoint,
             repeat=station.repeat,
@@ -245,8 +245,8 @@ def _take_station(plan: Plan, station: Station, rig: Rig, writer: RunWriter) -> 
             outcome=outcome,
             attempt=writer.attempt_of(station.index),
         )
-        samples.append(writer.append(sample, capture.image))
-    return samples
+        samples.append((sample, capture.image))
+    return writer.append_station(samples)
 
 
 def _speed(gantry: Gantry, position: FloatArray, plan: Plan) -> float:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import heapq
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from io import FileIO
@@ -30,6 +32,7 @@ KEEPS: tuple[str, ...] = get_args(Keep)
 # Freed before the run is closed, so that how it ended can still be written when the disk is full.
 _RESERVE, _RESERVE_BYTES = ".reserve", 65536
 _WORST_COUNT = 20
+_MOST_FLUSHES = 8
 
 
 def utc_now() -> str:
@@ -156,30 +159,45 @@ class RunWriter:
         return self._attempt.get(station, 0)
 
     def append(self, sample: Sample, image: ImageArray | None = None) -> Sample:
-        """Put a sample on disk: first its picture if it is kept, then its line.
+        """Put one sample on disk, as ``append_station`` does."""
+        return self.append_station([(sample, image)])[0]
+
+    def append_station(self, taken: Sequence[tuple[Sample, ImageArray | None]]) -> list[Sample]:
+        """Put the samples of a station on disk: first the pictures that are kept, then all lines with one flush.
+
+        A line that is on disk names a picture that is on disk, also after a power failure; a station counts when all
+        its lines are there.
 
         Args:
-            sample: The sample; its ``capture_file`` is set here.
-            image: Its picture, or None.
+            taken: Samples with their pictures, or None; each ``capture_file`` is set here.
 
         Returns:
-            The sample as written.
+            The samples as written.
 
         Raises:
             RunError: The disk is full or the folder cannot be written.
         """
         self.check()
+        written = [sample for sample, _ in taken]
         try:
-            if image is not None and self.keep != "none":
-                sample = replace(sample, capture_file=self._keep_picture(sample, image))
-            _write_whole(self._journal, line_from_sample(sample).encode("utf-8") + b"\n")
+            with ExitStack() as stack:
+                pictures = []
+                for i, (sample, image) in enumerate(taken):
+                    if image is not None and self.keep != "none":
+                        stream, name = self._picture(sample, image)
+                        pictures.append(stack.enter_context(stream))
+                        written[i] = replace(sample, capture_file=name)
+                _flush_together(pictures)
+            lines = "".join(line_from_sample(sample) + "\n" for sample in written)
+            _write_whole(self._journal, lines.encode("utf-8"))
             os.fsync(self._journal.fileno())
         except OSError as error:
             raise self._failed(error) from None
-        self.sample_count = max(self.sample_count, sample.index + 1)
-        if sample.capture_file and self.keep == "worst":
-            self._rank(sample)
-        return sample
+        for sample in written:
+            self.sample_count = max(self.sample_count, sample.index + 1)
+            if sample.capture_file and self.keep == "worst":
+                self._rank(sample)
+        return written
 
     def wire(self, t_ns: int, direction: str, text: str) -> None:
         """Log one line of the gantry's wire; never raises.
@@ -252,7 +270,8 @@ class RunWriter:
         except UvgsError as error:
             raise RunError(str(error)) from None
 
-    def _keep_picture(self, sample: Sample, image: ImageArray) -> str:
+    def _picture(self, sample: Sample, image: ImageArray) -> tuple[FileIO, str]:
+        """A written picture that is not flushed yet, and its name."""
         import cv2
 
         # Dark pictures with noise have no repeats and no slopes: plain Huffman codes make the smallest file, soonest.
@@ -262,10 +281,13 @@ class RunWriter:
         ok, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1, *settings])
         assert ok
         name = f"{CAPTURES}/{sample.index:06d}.png"
-        with FileIO(self.path / name, "wb") as stream:
+        stream = FileIO(self.path / name, "wb")
+        try:
             _write_whole(stream, encoded.tobytes())
-            os.fsync(stream.fileno())
-        return name
+        except BaseException:
+            stream.close()
+            raise
+        return stream, name
 
     def _rank(self, sample: Sample) -> None:
         """Keep the pictures of all misses and of the worst poses only."""
@@ -275,6 +297,17 @@ class RunWriter:
         if len(self._worst) > _WORST_COUNT:
             _, _, name = heapq.heappop(self._worst)
             (self.path / name).unlink(missing_ok=True)
+
+
+def _flush_together(streams: Sequence[FileIO]) -> None:
+    """Flush files to disk; together they share the disk's commits."""
+    if len(streams) < 2:
+        for stream in streams:
+            os.fsync(stream.fileno())
+        return
+    with ThreadPoolExecutor(max_workers=min(len(streams), _MOST_FLUSHES)) as pool:
+        for done in [pool.submit(os.fsync, stream.fileno()) for stream in streams]:
+            done.result()
 
 
 def _write_whole(stream: FileIO, content: bytes) -> None:
