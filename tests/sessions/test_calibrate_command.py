@@ -258,14 +258,19 @@ def test_what_the_calibration_does_to_a_beacon_is_said_by_range(pictures, tmp_pa
 
 def test_a_report_is_written_when_asked_for_and_shows_the_worst_pictures(pictures, tmp_path, capsys):
     folder, out = tmp_path / "page", tmp_path / "camera.yaml"
+    beacon = REPOSITORY / "calib" / "beacons" / "tetra_small.toml"
     asked = ["calibrate", f"images:{pictures}", "--board", BOARD, "--out", out, "--report", folder]
-    assert run(*asked, "--json") == 0
+    assert run(*asked, "--json", "--beacon", beacon) == 0
     summary = json.loads(capsys.readouterr().out)
     assert sorted(summary["report"]) == ["html", "json", "pdf"]
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
     data = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     shown = {figure["label"]: figure["number"]["value"] for figure in data["key_figures"]}
     assert shown["Residual, RMS of lengths"] == summary["rms_px"]
+    pose = next(s for s in data["sections"] if s["key"] == "pose")
+    row = next(r for b in pose["blocks"] if b["kind"] == "table" for r in b["rows"] if r[0]["shown"].startswith("1 m"))
+    forecast = next(r for r in summary["pose"]["ranges"] if r["range_m"] == 1.0)
+    assert [cell["value"] for cell in row[1:4]] == forecast["calibration_sigma_mm"]
     galleries = [b for s in data["sections"] for b in s["blocks"] if b["kind"] == "gallery"]
     assert len(galleries[0]["pictures"]) == 6
     # Nothing is computed when a report would be replaced.

@@ -15,6 +15,12 @@ from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray, Pose
 
+FORECAST_RANGES_M = (0.5, 1.0, 2.0, 4.0)
+"""Ranges a calibration is forecast at, m."""
+
+LED_NOISE_PX = 0.05
+"""Of a bright LED's centre in one coordinate of one picture, px."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseDoubt:
@@ -73,3 +79,24 @@ def pose_doubt(calibration: Calibration, points_m: ArrayLike, camera_from_target
     by_calibration = place @ follow @ joint @ follow.T @ place.T
     by_noise = noise_px**2 * place @ inverse @ inverse.T @ place.T
     return PoseDoubt(by_calibration, by_noise)
+
+
+def doubt_ahead(calibration: Calibration, points_m: ArrayLike, range_m: float) -> PoseDoubt | None:
+    """The same for a target on the optical axis that faces the camera, its points as noisy as LEDs.
+
+    Args:
+        calibration: With ``joint_covariance``.
+        points_m: Points of the target, target frame, shape (N, 3), m.
+        range_m: Distance of its origin, m.
+
+    Returns:
+        Both parts; None when a point lies outside the picture.
+
+    Raises:
+        CalibrationError: The calibration has no joint covariance.
+    """
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, range_m]), "camera", "beacon")
+    px = calibration.lens.project(pose.apply(points_m))
+    if not np.isfinite(px).all() or not calibration.lens.contains(px).all():
+        return None
+    return pose_doubt(calibration, points_m, pose, LED_NOISE_PX)

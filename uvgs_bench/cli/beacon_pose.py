@@ -8,38 +8,31 @@ if TYPE_CHECKING:
     from uvgs_bench.beacon.geometry import Beacon
     from uvgs_bench.camera import Calibration
 
-_RANGES_M = (0.5, 1.0, 2.0, 4.0)
-# Of a bright LED's centre in one coordinate of one picture.
-_LED_NOISE_PX = 0.05
-
 
 def pose_summary(calibration: Calibration, beacon: Beacon) -> dict[str, object]:
     """Deviations of the pose of a beacon on the optical axis that faces the camera, by range, as one JSON object."""
     import numpy as np
 
-    from uvgs_bench.camera.pose_doubt import pose_doubt
+    from uvgs_bench.camera.pose_doubt import FORECAST_RANGES_M, LED_NOISE_PX, doubt_ahead
     from uvgs_bench.errors import CalibrationError
-    from uvgs_bench.geometry import Pose
     from uvgs_bench.units import mm_from_m, mrad_from_rad
 
     rows: list[dict[str, object]] = []
-    for range_m in _RANGES_M:
+    for range_m in FORECAST_RANGES_M:
         row: dict[str, object] = {"range_m": range_m}
         rows.append(row)
-        pose = Pose(np.eye(3), np.array([0.0, 0.0, range_m]), "camera", "beacon")
-        px = calibration.lens.project(pose.apply(beacon.positions_m))
-        if not np.isfinite(px).all() or not calibration.lens.contains(px).all():
-            row["problem"] = "not whole in the picture"
-            continue
         try:
-            doubt = pose_doubt(calibration, beacon.positions_m, pose, _LED_NOISE_PX)
+            doubt = doubt_ahead(calibration, beacon.positions_m, range_m)
         except CalibrationError as error:
             row["problem"] = str(error)
+            continue
+        if doubt is None:
+            row["problem"] = "not whole in the picture"
             continue
         for part, sigmas in (("calibration", doubt.calibration_sigmas), ("noise", doubt.noise_sigmas)):
             row[f"{part}_sigma_mm"] = np.asarray(mm_from_m(sigmas[3:])).tolist()
             row[f"{part}_sigma_mrad"] = np.asarray(mrad_from_rad(sigmas[:3])).tolist()
-    return {"beacon": beacon.name, "led_noise_px": _LED_NOISE_PX, "ranges": rows}
+    return {"beacon": beacon.name, "led_noise_px": LED_NOISE_PX, "ranges": rows}
 
 
 def print_pose_summary(calibration: Calibration, beacon: Beacon) -> None:
@@ -52,7 +45,7 @@ def print_pose_summary(calibration: Calibration, beacon: Beacon) -> None:
     out.print(f"pose of {beacon.name} facing the camera, 1σ; what the calibration does is the same in every picture",
               markup=False)  # fmt: skip
     table = Table(box=None, pad_edge=False)
-    for name in ("range", "x, y, z mm", "mrad", f"LEDs ±{_LED_NOISE_PX} px: mm", "mrad"):
+    for name in ("range", "x, y, z mm", "mrad", f"LEDs ±{found['led_noise_px']} px: mm", "mrad"):
         table.add_column(name, justify="right")
     problems = []
     rows = found["ranges"]

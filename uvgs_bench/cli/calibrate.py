@@ -106,7 +106,8 @@ def calibrate(
     if report is not None:
         from uvgs_bench.cli.calibration_report import print_reports, write_calibration_report
 
-        files = write_calibration_report(report, result.calibration, result, carried, source, force=force)
+        shown = source if not camera.is_live else f"images:{keep}" if keep is not None else ""
+        files = write_calibration_report(report, result.calibration, result, carried, shown, force=force)
         if not as_json:
             print_reports(files)
     if as_json:

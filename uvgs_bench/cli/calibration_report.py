@@ -31,7 +31,7 @@ def write_calibration_report(
         calibration: The calibration.
         result: How it came to be, if known.
         beacon: A beacon to forecast the pose of.
-        source: Spec of the pictures, to show the worst of them; a live camera has none to show.
+        source: Spec of the pictures, to show the worst of them; empty when none were kept.
         force: Whether existing reports may be replaced.
 
     Returns:
@@ -67,12 +67,11 @@ def _pictures(result: CalibrationResult, source: str) -> dict[str, NDArray[np.ge
     found: dict[str, NDArray[np.generic]] = {}
     try:
         with open_camera(source) as camera:
-            if camera.is_live:
-                return {}
             for capture in camera:
                 name = capture.source or f"capture {capture.index}"
-                if name in wanted:
-                    found[name] = capture.image
+                # Views of a live camera go by the name of their file without its ending.
+                for known in wanted & {name, Path(name).stem}:
+                    found[known] = capture.image
                 if len(found) == len(wanted):
                     break
     except CaptureError:

@@ -19,7 +19,6 @@ from uvgs_bench.report.beacon_evidence import ForecastEvidence, MeasurementEvide
 from uvgs_bench.report.beacon_page import build_forecast_document, build_measurement_document, write_beacon_picture
 from uvgs_bench.report.document import Table
 from uvgs_bench.report.html import render_html
-from uvgs_bench.report.pdf import render_pdf
 
 PLACES = 1e-3 * np.array([[0.0, -50.0, 0.0], [50.0, 30.0, 0.0], [-50.0, 30.0, 5.0], [0.0, 0.0, -40.0]])
 NAMES = ("top", HOSTILE, "left", "apex")
@@ -83,9 +82,7 @@ def test_a_measured_beacon_is_the_same_in_page_pdf_and_json():
     assert shown["Farthest off nominal"] == pytest.approx(0.4)
     # Three LEDs state an axis and have a drawing each.
     assert sum(figure.key.startswith("angle-") for figure in document.figures()) == 3
-    again = build_measurement_document(measured())
-    assert render_html(again) == render_html(document)
-    assert render_pdf(again) == render_pdf(document)
+    assert render_html(build_measurement_document(measured())) == render_html(document)
 
 
 def test_sightings_set_aside_come_worst_first_and_warnings_colour_the_verdict():

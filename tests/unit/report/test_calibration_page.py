@@ -12,9 +12,12 @@ from tests.helpers.synthetic_run import HOSTILE, beacon
 from uvgs_bench.camera import Calibration
 from uvgs_bench.camera.angular_scale import angle_per_pixel
 from uvgs_bench.camera.boards import BoardMiss, BoardView
+from uvgs_bench.camera.calibration import Verdict
 from uvgs_bench.camera.fitting import CalibrationResult, calibrate
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.camera.lens_choice import LensTrial
+from uvgs_bench.camera.pose_doubt import doubt_ahead
+from uvgs_bench.camera.view_trends import Streak, ViewTrends
 from uvgs_bench.geometry import Pose
 from uvgs_bench.geometry.se3 import so3_exp
 from uvgs_bench.report import build_calibration_document, calibration_page
@@ -25,7 +28,6 @@ from uvgs_bench.report.html import render_html
 from uvgs_bench.report.json_export import render_json
 from uvgs_bench.report.maps import band_levels
 from uvgs_bench.report.sections import CALIBRATION_SECTIONS
-from uvgs_bench.report.sections.calibration_pose import forecast
 from uvgs_bench.report.sections.calibration_verdict import rules
 
 pytestmark = pytest.mark.opencv
@@ -134,6 +136,31 @@ def test_no_rule_fails_on_a_usable_calibration_and_one_does_on_another(
     assert document.verdict_word == "not usable"
 
 
+def test_what_changed_over_the_pictures_is_judged_and_drawn(
+    evidence: CalibrationEvidence, result: CalibrationResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = len(result.views)
+    change = np.linspace(-0.01, 0.01, count)
+    change[3] = np.nan
+    trends = ViewTrends(change, np.full(count, 2e-4), 0.02, 1e-3, (Streak(2, 3.5, 0.5),))
+    moving = replace(result, trends=trends)
+    assert [row for row in failed(moving) if row.startswith("Drift of the focal length")]
+    within = replace(result, trends=replace(trends, drift_sigma=0.01))
+    assert failed(within) == []
+    assert failed(replace(result, is_at_rest=False)) == ["The adjustment came to rest"]
+    chapters(monkeypatch, "views")
+    document = build_calibration_document(replace(evidence, result=moving))
+    drawn = next(figure for figure in document.figures() if figure.key == "focal-order")
+    assert "+2.000 ± 0.100 %" in drawn.alt
+    assert result.view_names[2] in drawn.alt
+
+
+def test_a_refusal_never_stands_over_passes_alone(result: CalibrationResult) -> None:
+    refused = Verdict("not_usable", 0.0, ("a rule nobody told the page about",))
+    known = replace(result, calibration=replace(result.calibration, verdict=refused))
+    assert failed(known) == ["Another reason, given in words below"]
+
+
 def test_few_views_leave_the_halves_open(monkeypatch: pytest.MonkeyPatch) -> None:
     chapters(monkeypatch, "verdict", "pose", "halves", "views")
     few = calibrate(views(5), "plumb_bob", notes=NOTES)
@@ -184,8 +211,8 @@ def test_simulated_pictures_are_named_before_anything_else(
 
 
 def test_a_beacon_outside_the_picture_is_not_forecast(result: CalibrationResult) -> None:
-    assert forecast(result.calibration, beacon(), 0.09) is None
-    doubt = forecast(result.calibration, beacon(), 1.0)
+    assert doubt_ahead(result.calibration, beacon().positions_m, 0.09) is None
+    doubt = doubt_ahead(result.calibration, beacon().positions_m, 1.0)
     assert doubt is not None
     assert (doubt.calibration_sigmas > 0.0).all()
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.beacon.geometry import Beacon
-from uvgs_bench.camera.calibration import Calibration
-from uvgs_bench.camera.pose_doubt import PoseDoubt, pose_doubt
-from uvgs_bench.geometry import FloatArray, Pose
+from uvgs_bench.camera.pose_doubt import FORECAST_RANGES_M, LED_NOISE_PX, doubt_ahead
+from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence
 from uvgs_bench.report.cells import Cell, Number
 from uvgs_bench.report.document import Column, Figure, Paragraph, Section, Table
@@ -15,8 +14,6 @@ from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_o
 from uvgs_bench.report.palette import MARKERS, SERIES
 from uvgs_bench.units import mm_from_m, mrad_from_rad
 
-_RANGES_M = (0.5, 1.0, 2.0, 4.0)
-_LED_NOISE_PX = 0.05
 _DRAWN = 25
 
 
@@ -32,34 +29,16 @@ def build(evidence: CalibrationEvidence) -> Section | None:
     text = (
         f"Beacon {beacon.name} faces the camera on its axis. The part of the calibration is the same in every picture: "
         f"averaging does not help, registering on the bench takes part of it out. The part of the LEDs ("
-        f"{_LED_NOISE_PX} px in each coordinate of each centre) is new in every picture."
+        f"{LED_NOISE_PX} px in each coordinate of each centre) is new in every picture."
     )
     return Section("pose", title, (Paragraph(text), _table(evidence, beacon), *_drawing(evidence, beacon)))
-
-
-def forecast(calibration: Calibration, beacon: Beacon, range_m: float) -> PoseDoubt | None:
-    """Deviations of the pose of a beacon on the optical axis that faces the camera.
-
-    Args:
-        calibration: With ``joint_covariance``.
-        beacon: The beacon.
-        range_m: Distance of its origin, m.
-
-    Returns:
-        Both parts; None when an LED lies outside the picture.
-    """
-    pose = Pose(np.eye(3), np.array([0.0, 0.0, range_m]), "camera", "beacon")
-    px = calibration.lens.project(pose.apply(beacon.positions_m))
-    if not np.isfinite(px).all() or not calibration.lens.contains(px).all():
-        return None
-    return pose_doubt(calibration, beacon.positions_m, pose, _LED_NOISE_PX)
 
 
 def _table(evidence: CalibrationEvidence, beacon: Beacon) -> Table:
     rows: list[tuple[Cell, ...]] = []
     factor = evidence.too_small or 1.0
-    for range_m in _RANGES_M:
-        doubt = forecast(evidence.calibration, beacon, range_m)
+    for range_m in FORECAST_RANGES_M:
+        doubt = doubt_ahead(evidence.calibration, beacon.positions_m, range_m)
         if doubt is None:
             rows.append((f"{range_m:g} m: an LED is outside the picture", *(Number(None, 3) for _ in range(5))))
             continue
@@ -84,8 +63,8 @@ def _table(evidence: CalibrationEvidence, beacon: Beacon) -> Table:
 
 def _drawing(evidence: CalibrationEvidence, beacon: Beacon) -> tuple[Figure, ...]:
     calibration, factor = evidence.calibration, evidence.too_small or 1.0
-    ranges = np.geomspace(_RANGES_M[0], _RANGES_M[-1], _DRAWN)
-    found = [forecast(calibration, beacon, float(r)) for r in ranges]
+    ranges = np.geomspace(FORECAST_RANGES_M[0], FORECAST_RANGES_M[-1], _DRAWN)
+    found = [doubt_ahead(calibration, beacon.positions_m, float(r)) for r in ranges]
     seen = np.array([doubt is not None for doubt in found])
     if seen.sum() < 2:
         return ()
@@ -112,7 +91,7 @@ def _drawing(evidence: CalibrationEvidence, beacon: Beacon) -> tuple[Figure, ...
         axes_.set_ylabel("1 sigma (mm)")
         axes_.xaxis.set_major_formatter("{x:g}")
         axes_.xaxis.set_minor_formatter("")
-        axes_.set_xticks(_RANGES_M)
+        axes_.set_xticks(FORECAST_RANGES_M)
         axes_.yaxis.set_major_formatter("{x:g}")
         legend_above(axes_, 2)
         svg = svg_of(figure, key, alt)

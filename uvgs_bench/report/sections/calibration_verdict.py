@@ -6,8 +6,10 @@ import numpy as np
 
 from uvgs_bench.camera.fitting import CalibrationResult
 from uvgs_bench.camera.verdict import (
+    DRIFT_SIGMAS,
     LEAST_SHARE,
     LIMIT_PX,
+    MAX_FOCAL_DRIFT,
     MAX_FOCAL_SIGMA,
     MAX_HALVES_RATIO,
     MAX_HELD_OUT_RATIO,
@@ -106,6 +108,19 @@ def rules(result: CalibrationResult) -> tuple[tuple[Cell, ...], ...]:
             _mark(result.max_tilt_rad >= MIN_TILT_RAD),
         )
     )
+    if not result.is_at_rest:
+        rows.insert(0, ("The adjustment came to rest", "yes", "no", Mark("fail")))
+    trends = result.trends
+    if trends is not None and np.isfinite(trends.drift):
+        stands_out = abs(trends.drift) > DRIFT_SIGMAS * trends.drift_sigma
+        rows.append(
+            (
+                f"Drift of the focal length over the pictures (1 sigma {_PERCENT * trends.drift_sigma:.2f} %)",
+                f"≤ {_PERCENT * MAX_FOCAL_DRIFT:.1f} % or {DRIFT_SIGMAS:.0f} sigma",
+                Number(_PERCENT * trends.drift, 2, "%"),
+                _mark(not (stands_out and abs(trends.drift) > MAX_FOCAL_DRIFT)),
+            )
+        )
     ratio = np.nan if halves is None else halves.ratio
     rows.append(
         (
@@ -115,6 +130,11 @@ def rules(result: CalibrationResult) -> tuple[tuple[Cell, ...], ...]:
             Mark("inconclusive", "too few views") if halves is None else _mark(ratio <= MAX_HALVES_RATIO),
         )
     )
+    verdict = calibration.verdict
+    is_refused = verdict is not None and verdict.word == "not_usable"
+    if is_refused and not any(isinstance(row[3], Mark) and row[3].state == "fail" for row in rows):
+        # Never a page of passes under a refusal.
+        rows.append(("Another reason, given in words below", "", "", Mark("fail")))
     return tuple(rows)
 
 

@@ -7,12 +7,17 @@ import numpy as np
 from uvgs_bench.camera.fitting import CalibrationResult
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence, kept_masks, worst_views
 from uvgs_bench.report.cells import Cell, Number
-from uvgs_bench.report.document import Block, Column, Gallery, Paragraph, Picture, Section, Table
+from uvgs_bench.report.document import Block, Column, Figure, Gallery, Paragraph, Picture, Section, Table
+from uvgs_bench.report.figures import canvas, series, style, svg_of
+from uvgs_bench.report.palette import BLUE, FAINT
 from uvgs_bench.report.pictures import residual_png, shown_picture
 from uvgs_bench.units import deg_from_rad
 
 PICTURED = 6
 _LISTED = 60
+_PERCENT = 100.0
+# Normal law: two-sided 95 %.
+_NORMAL_95 = 1.96
 
 
 def build(evidence: CalibrationEvidence) -> Section | None:
@@ -36,6 +41,7 @@ def build(evidence: CalibrationEvidence) -> Section | None:
     else:
         blocks.append(Paragraph("The pictures themselves were not at hand when this report was made."))
     blocks.append(_rejected(result))
+    blocks += _drift(result)
     if result.misses:
         columns = (Column("Picture"), Column("Reason"), Column("In words"))
         rows = tuple((miss.name, miss.reason.replace("_", " "), miss.detail) for miss in result.misses)
@@ -94,6 +100,46 @@ def _picture(evidence: CalibrationEvidence, result: CalibrationResult, i: int, m
     png = residual_png(shown_picture(evidence.pictures[name]), view.px, e, mask, magnification)
     caption = f"{name}: RMS {result.view_rms_px[i]:.3f} px, set aside: {int((~mask).sum())}."
     return Picture(f"view-{i}", png, alt, caption)
+
+
+def _drift(result: CalibrationResult) -> list[Block]:
+    """The focal length picture by picture, and pictures taken in motion."""
+    trends = result.trends
+    if trends is None or not np.isfinite(trends.drift):
+        return []
+    change, sigma = _PERCENT * trends.focal_change, _PERCENT * trends.focal_sigma
+    known = np.isfinite(change) & np.isfinite(sigma)
+    number = np.flatnonzero(known) + 1.0
+    key = "focal-order"
+    moved = ", ".join(result.view_names[streak.view] for streak in trends.streaks) or "none"
+    alt = (
+        f"Focal length of {int(known.sum())} pictures in their order, relative to the common one: line from first to "
+        f"last {_PERCENT * trends.drift:+.3f} ± {_PERCENT * trends.drift_sigma:.3f} %. Pictures that look taken in motion: "
+        f"{moved}."
+    )
+    with style(key):
+        figure = canvas(3.0)
+        axes = figure.add_subplot()
+        axes.axhline(0.0, color=FAINT, lw=1.0)
+        axes.errorbar(number, change[known], yerr=_NORMAL_95 * sigma[known], fmt="o", color=BLUE, ms=4, capsize=2)
+        axes.set_xlabel("picture, in the order taken")
+        axes.set_ylabel("focal length, change (%)")
+        svg = svg_of(figure, key, alt)
+    caption = "Focal length each picture alone would like, against the common one, 95 %. A slope is a focus that moved."
+    numbers = (series("change", "%", change), series("1 sigma", "%", sigma))
+    blocks: list[Block] = [Figure(key, svg, alt, caption, numbers)]
+    if trends.streaks:
+        rows = tuple(
+            (
+                result.view_names[streak.view],
+                Number(streak.ratio, 1),
+                Number(float(deg_from_rad(streak.direction_rad)), 0),
+            )
+            for streak in trends.streaks
+        )
+        columns = (Column("Picture"), Column("Along over across", "times", True), Column("Direction", "deg", True))
+        blocks.append(Table("Pictures whose residuals lie along one direction: taken in motion.", columns, rows))
+    return blocks
 
 
 def _rejected(result: CalibrationResult) -> Block:
