@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
@@ -48,10 +50,28 @@ def _load_without_compiler(kernel: Any) -> None:
 
     def load_overload(signature: Any, context: Any) -> Any:
         rtsys.initialize(context)
+        _import_array_functions()
         with cache._guard_against_spurious_io_errors():
             return cache._load_overload(signature, context)
 
     cache.load_overload = load_overload
+
+
+def _import_array_functions() -> None:
+    """Import numba's array functions, which kernels may name, without their way of asking whether scipy is there.
+
+    They ask by importing scipy.linalg: 0.2 s. It is there, being required; what needs it imports it when it does.
+    """
+    if "numba.np.arraymath" in sys.modules:
+        return
+    from numba.np import linalg
+
+    asked = linalg.ensure_blas
+    linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = asked
 
 
 def _notice_changed_callees(kernel: Any) -> None:

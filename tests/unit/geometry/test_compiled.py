@@ -34,6 +34,18 @@ def test_a_changed_callee_in_another_file_expires_its_callers(tmp_path: Path) ->
     assert run(tmp_path) == [32.0, 0.0]
 
 
+def test_a_process_that_loaded_a_kernel_can_still_compile_one(tmp_path: Path) -> None:
+    write(tmp_path, 2.0)
+    # The second is never cached and wants everything the compiler has, matrices by BLAS among it.
+    (tmp_path / "top.py").write_text(
+        "import numba, numpy as np\nfrom low import f as h\n"
+        "@numba.njit\ndef late(a):\n    return (a @ a).sum() + np.median(a)\n"
+        "h(1.0)\nassert late(np.full((2, 2), 3.0)) == 75.0\n"
+    )
+    assert run(tmp_path) == [2.0, 0.0]
+    assert run(tmp_path) == [2.0, 1.0]
+
+
 def test_a_kernel_runs_where_nothing_can_be_cached(tmp_path: Path) -> None:
     write(tmp_path, 2.0)
     (tmp_path / "top.py").write_text("from low import f as h\n")

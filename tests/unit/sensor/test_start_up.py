@@ -21,7 +21,7 @@ from uvgs_bench.store import write_beacon, write_calibration
 
 ROOT = Path(__file__).resolve().parents[3]
 POSE = Pose(so3_exp(np.array([0.2, -0.3, 0.5])), np.array([0.02, -0.03, 0.8]), "camera", "beacon")
-HEAVY = ("cv2", "matplotlib", "numba.np.arraymath", "scipy.linalg", "scipy.optimize", "uvgs_bench.camera.fitting")
+HEAVY = ("cv2", "matplotlib", "scipy.linalg", "scipy.optimize", "uvgs_bench.camera.fitting")
 CODE = """
 import json, sys
 import numpy as np
