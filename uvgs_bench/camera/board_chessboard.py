@@ -1,12 +1,14 @@
 """Chessboards: inner corners of black and white squares.
 
 Corners come from OpenCV's classic detector, refined with a window that stays clear of the neighbouring corners; its
-sector-based detector is the second try. Both also find a small pattern inside a larger board, so the ring of places
-where a larger board would have its next corners is looked at, too.
+sector-based detector is the second try where they are none or noisy, and the quieter corners are kept. Both also find
+a small pattern inside a larger board, so the ring of places where a larger board would have its next corners is looked
+at, too. Where an odd and an even number of corners make the two ends differ, the first corner is the one at the black end.
 """
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
 # A wider refining window gains nothing and reaches into uneven light.
 _MAX_WINDOW_PX = 11
+# Corners of the classic detector noisier than this are looked for once more, and given up for clearly quieter ones.
+_NOISY_PX, _CLEARLY_LESS = 0.25, 0.9
 
 
 def points(board: Board) -> FloatArray:
@@ -46,6 +50,9 @@ def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.
     if along[0] * across[1] - along[1] * across[0] < 0.0:
         # The detector may count a row from the right; a board seen from its front is never mirrored.
         grid = grid[:, ::-1]
+    if (board.columns + board.rows) % 2 == 1 and _black_share(grey, grid) < 0.0:
+        # The first corner lies at a black square of the board's own corner; the other end has a white one.
+        grid = grid[::-1, ::-1]
     side = _side_that_goes_on(grey, grid)
     if side:
         return (
@@ -67,16 +74,66 @@ def _find_size(grey: NDArray[np.uint8], columns: int, rows: int) -> FloatArray |
 
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
     is_found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
-    if is_found:
-        px = np.asarray(corners, dtype=np.float32).reshape(-1, 2)
-        window = min(_MAX_WINDOW_PX, int(_smallest_spacing(px, columns, rows) / 2.0) - 1)
-        if window < 1:
-            return None
-        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
-        refined = cv2.cornerSubPix(grey, px.reshape(-1, 1, 2), (window, window), (-1, -1), stop)
-        return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+    if not is_found:
+        return _find_by_sectors(grey, columns, rows)
+    px = np.asarray(corners, dtype=np.float32).reshape(-1, 2)
+    window = min(_MAX_WINDOW_PX, int(_smallest_spacing(px, columns, rows) / 2.0) - 1)
+    if window < 1:
+        return None
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
+    refined = cv2.cornerSubPix(grey, px.reshape(-1, 1, 2), (window, window), (-1, -1), stop)
+    found = np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+    noise_px = local_noise_px(found.reshape(rows, columns, 2))
+    if noise_px < _NOISY_PX:
+        return found
+    other = _find_by_sectors(grey, columns, rows)
+    if other is None or local_noise_px(other.reshape(rows, columns, 2)) > _CLEARLY_LESS * noise_px:
+        return found
+    return other
+
+
+def _find_by_sectors(grey: NDArray[np.uint8], columns: int, rows: int) -> FloatArray | None:
+    import cv2
+
     is_found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2) if is_found else None
+
+
+def local_noise_px(grid: FloatArray) -> float:
+    """How far corners lie off the flat, undistorted board their nearest neighbours make.
+
+    Args:
+        grid: Corners by row and column, shape (rows, columns, 2), px.
+
+    Returns:
+        Deviation of a coordinate over all blocks of three by three corners, px: the noise of the corners, and where the
+        lens bends strongly, its bend across two squares.
+    """
+    import cv2
+
+    plane = np.array([[x, y] for y in range(3) for x in range(3)], dtype=np.float64)
+    homogeneous = np.column_stack([plane, np.ones(9)])
+    squares = []
+    for i in range(grid.shape[0] - 2):
+        for j in range(grid.shape[1] - 2):
+            block = np.ascontiguousarray(grid[i : i + 3, j : j + 3].reshape(9, 2))
+            H, _ = cv2.findHomography(plane, block)
+            if H is None:
+                return inf
+            mapped = homogeneous @ H.T
+            squares.append(float(((mapped[:, :2] / mapped[:, 2:] - block) ** 2).sum()))
+    # Eighteen coordinates, eight of them taken up by the homography.
+    return float(np.sqrt(np.median(squares) / 10.0))
+
+
+def _black_share(grey: NDArray[np.uint8], grid: FloatArray) -> float:
+    """Positive when the cell at the first corner, and every second one, is darker than the others."""
+    place = 0.25 * (grid[:-1, :-1] + grid[:-1, 1:] + grid[1:, :-1] + grid[1:, 1:])
+    column = np.clip(place[..., 0].round().astype(int), 0, grey.shape[1] - 1)
+    row = np.clip(place[..., 1].round().astype(int), 0, grey.shape[0] - 1)
+    parity = (-1.0) ** np.add.outer(np.arange(place.shape[0]), np.arange(place.shape[1]))
+    value = grey[row, column].astype(np.float64)
+    return float(value[parity < 0.0].mean() - value[parity > 0.0].mean())
 
 
 def _is_irregular(grid: FloatArray) -> bool:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Literal, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +152,25 @@ class BoardKind(Protocol):
 
 def _kind(board: Board) -> BoardKind:
     return cast(BoardKind, importlib.import_module(BOARDS[board.kind]))
+
+
+def symmetry(board: Board) -> Literal["", "half turn", "quarter turn"]:
+    """By which turn a board looks the same again, so that its first point is one of several.
+
+    Args:
+        board: The board as declared.
+
+    Returns:
+        The smallest such turn; empty for a board that looks the same from no other side.
+    """
+    columns, rows = board.columns, board.rows
+    if board.kind == "chessboard":
+        is_half, is_quarter = (columns + rows) % 2 == 0, columns == rows and columns % 2 == 0
+    elif board.kind == "circles":
+        is_half, is_quarter = True, columns == rows
+    else:
+        is_half, is_quarter = board.kind == "asymmetric_circles" and rows % 2 == 0, False
+    return "quarter turn" if is_quarter else "half turn" if is_half else ""
 
 
 def check_board(board: Board) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from uvgs_bench import __version__
 from uvgs_bench.camera import Board, BoardView, CalibrationResult, calibrate
 from uvgs_bench.camera.board_circles import corrected_view
-from uvgs_bench.camera.boards import BoardMiss
+from uvgs_bench.camera.boards import BoardMiss, symmetry
 from uvgs_bench.camera.fitting import MIN_VIEWS, fit
 from uvgs_bench.camera.lens_choice import LensTrial, choose_lens
 from uvgs_bench.devices.cameras.source import CameraSource
@@ -58,11 +58,15 @@ def calibrate_from_source(
         The calibration, with the pictures in which no usable board was found in ``misses``.
 
     Raises:
-        ConfigError: A folder for pictures of a recording, which has them already, or one that cannot be written.
+        ConfigError: A folder for pictures of a recording, which has them already, or one that cannot be written; the
+            shape of a board that looks the same after a quarter turn.
         CaptureError: The source cannot be read, or gives no pictures.
         TooFewViews: The board was found in fewer than three pictures; the message says why.
         CalibrationError: The pictures differ in size, or no lens of the model fits.
     """
+    if is_board_free and symmetry(board) == "quarter turn":
+        said = "looks the same after a quarter turn, so its stretch along y and x is one"
+        raise ConfigError(f"board '{board.name}' {said}: print another number of rows", "--board-shape")
     if source.is_live:
         guide = _GUIDING_LENS if model == AUTO_LENS else model
         found = guide_views(source, board, guide, sink=sink, limit=limit, keep=keep)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from uvgs_bench.camera import Board, BoardView, find_board
-from uvgs_bench.camera.boards import BoardMiss
+from uvgs_bench.camera.boards import BoardMiss, symmetry
 from uvgs_bench.devices.cameras.source import CameraSource
 from uvgs_bench.errors import CaptureError, ConfigError
 from uvgs_bench.sensor.capture import Capture
@@ -55,6 +55,10 @@ def find_boards(
     """
     if source.is_live and limit is None:
         raise ConfigError("a live camera needs a number of captures to take", source.spec)
+    turn = symmetry(board)
+    if turn:
+        said = "its first corner may be another one in each picture, which no lens depends on"
+        sink(Remark("info", f"board '{board.name}' looks the same after a {turn}: {said}"))
     total = source.length if limit is None else min(limit, source.length or limit)
     sink(StageStarted(_STAGE, total))
     views: list[BoardView] = []

@@ -15,7 +15,7 @@ from uvgs_bench.beacon import Beacon
 from uvgs_bench.beacon.checks import size_m
 from uvgs_bench.beacon.frames import FrameChoice, place
 from uvgs_bench.beacon.measure import BeaconMeasurement, LedView, MeasureConfig, measure_beacon
-from uvgs_bench.camera.boards import Board, BoardView, find_board
+from uvgs_bench.camera.boards import Board, BoardView, find_board, symmetry
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.devices.cameras.registry import open_camera
 from uvgs_bench.devices.gantry.axes import gantry_from_carriage
@@ -115,8 +115,15 @@ def measure_from_pictures(
     Raises:
         TooFewViews: Too few pictures could be named, or they cannot tell.
         CalibrationError: The pictures contradict what is declared, or have another size than the calibration.
+        ConfigError: A board that looks the same from several sides.
     """
     known: dict[int, BoardView | None] = {}
+    if board is not None and (turn := symmetry(board)):
+        raise ConfigError(
+            f"board '{board.name}' looks the same after a {turn}, so no picture tells how it is fixed: "
+            "use one with an odd and an even number of corners, ChArUco or AprilGrid",
+            "--board",
+        )
 
     def board_in(i: int) -> BoardView | None:
         if i not in known:

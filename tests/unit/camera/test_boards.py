@@ -9,7 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from uvgs_bench.camera.boards import BOARDS, WITH_MARKERS, Board, BoardMiss, BoardView, board_texture, find_board
+from uvgs_bench.camera.board_chessboard import _find_by_sectors, local_noise_px
+from uvgs_bench.camera.boards import (
+    BOARDS,
+    WITH_MARKERS,
+    Board,
+    BoardMiss,
+    BoardView,
+    board_texture,
+    find_board,
+    symmetry,
+)
 from uvgs_bench.errors import CalibrationError, ConfigError
 from uvgs_bench.store.boards import read_board
 
@@ -90,6 +100,58 @@ def test_chessboard_upside_down_is_never_taken_for_mirrored(angle_deg):
     turn = np.array([[np.cos(a), -np.sin(a), 640.0], [np.sin(a), np.cos(a), 480.0], [0, 0, 1.0]])
     centre = np.array([[2800.0, 0, -280.0], [0, 2800.0, -175.0], [0, 0, 1.0]])
     assert isinstance(find_board(picture(CHESS, turn @ centre), CHESS), BoardView)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 90.0, 180.0, 270.0])
+def test_first_corner_is_the_one_at_the_black_end_however_the_board_is_turned(angle_deg):
+    a = np.deg2rad(angle_deg)
+    turn = np.array([[np.cos(a), -np.sin(a), 640.0], [np.sin(a), np.cos(a), 480.0], [0, 0, 1.0]])
+    view = turn @ np.array([[2800.0, 0, -280.0], [0, 2800.0, -175.0], [0, 0, 1.0]])
+    assert symmetry(CHESS) == ""
+    found = find_board(picture(CHESS, view), CHESS)
+    assert isinstance(found, BoardView)
+    # Corner by corner: half a square is 40 px.
+    assert np.linalg.norm(found.px - truth(found.board_m, view), axis=1).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns", "rows", "turn"),
+    [
+        ("chessboard", 9, 6, ""),
+        ("chessboard", 8, 6, "half turn"),
+        ("chessboard", 7, 7, "half turn"),
+        ("chessboard", 6, 6, "quarter turn"),
+        ("circles", 9, 6, "half turn"),
+        ("circles", 6, 6, "quarter turn"),
+        ("asymmetric_circles", 4, 11, ""),
+        ("asymmetric_circles", 4, 10, "half turn"),
+        ("led_grid", 6, 6, ""),
+    ],
+)
+def test_turns_after_which_a_board_looks_the_same(kind, columns, rows, turn):
+    board = Board("b", kind, columns, rows, 0.03, diameter_m=0.01 if kind != "chessboard" else 0.0)
+    assert symmetry(board) == turn
+    # By the drawing: the printed board, turned.
+    drawn = board_texture(board, 16)[0]
+    if kind != "led_grid":
+        # Discs fall differently on their pixels: a shifted disc would change a tenth of the picture.
+        half = np.mean(drawn != np.rot90(drawn, 2)) < 0.03
+        quarter = drawn.shape[0] == drawn.shape[1] and np.mean(drawn != np.rot90(drawn)) < 0.03
+        assert ("quarter turn" if quarter else "half turn" if half else "") == turn
+
+
+def test_noisy_corners_are_looked_for_again_and_the_quieter_kept():
+    rng = np.random.default_rng(5)
+    image = cv2.GaussianBlur(picture(CHESS), (0, 0), 3.0).astype(np.float64)
+    noisy = np.clip(0.15 * image + 100.0 + rng.normal(0.0, 10.0, image.shape), 0, 255).astype(np.uint8)
+    found = find_board(noisy, CHESS)
+    assert isinstance(found, BoardView)
+    sectors = _find_by_sectors(noisy, 9, 6)
+    error = np.sqrt((np.linalg.norm(found.px - truth(found.board_m), axis=1) ** 2).mean())
+    both = [found.px.reshape(6, 9, 2), sectors.reshape(6, 9, 2)]
+    assert local_noise_px(both[0]) <= local_noise_px(both[1]) + 1e-9
+    # The noise that is told is that of the corners: a third of it by chance, for 28 blocks that share corners.
+    assert local_noise_px(both[0]) == pytest.approx(error / np.sqrt(2.0), rel=0.35)
 
 
 def reason(image: np.ndarray, board: Board) -> str:
