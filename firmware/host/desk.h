@@ -9,7 +9,8 @@
 //   E <0|1>         level of the emergency-stop pin
 //   C               an edge of the camera strobe
 //   M <x> <y> <z>   turn the motors by so many steps behind the firmware's back
-//   J               answered by "J <count> <least> <median> <most>": cycles between steps of X since the last J (AVR)
+//   J               answered by "J <count> <least> <median> <most> <pulse>": cycles between steps of X since the last J, and
+//                   its longest pulse, which lasts as long as the step interrupt (AVR)
 #pragma once
 #include <cstdint>
 #include <deque>
@@ -24,7 +25,7 @@ class Table {
   virtual void set_estop(bool level) = 0;
   virtual void strobe() = 0;
   virtual void shove(int axis, int64_t steps) = 0;
-  virtual std::string step_intervals() { return "0 0 0 0"; }
+  virtual std::string step_intervals() { return "0 0 0 0 0"; }
   // May throw.
   virtual void reset(const std::string& cause) = 0;
 };

@@ -106,7 +106,8 @@ void Board::receive(uint8_t byte, Ticks at) {
 }
 
 void Board::strobe() {
-  if (strobe_edge != 0) uvgs::trigger::on_strobe(uvgs::hal::now());
+  strobe_level = !strobe_level;
+  if (strobe_edge == (strobe_level ? 1 : 2)) uvgs::trigger::on_strobe(uvgs::hal::now());
 }
 
 void Board::set_estop(bool level) {
@@ -171,7 +172,7 @@ void step_timer_stop() { step_at = NEVER; }
 
 void set_step_idle_levels(uint8_t) {}
 
-void step_pulse(uint8_t axes, uint8_t) {
+void begin_step_pulse(uint8_t axes) {
   uint8_t before = switch_levels();
   uint8_t negative = board.direction_levels;
   for (uint8_t i = 0; i < AXES; ++i)
@@ -180,6 +181,7 @@ void step_pulse(uint8_t axes, uint8_t) {
   if (switch_levels() != before) limits::on_change();
 }
 
+void end_step_pulse(uint8_t) {}
 void set_directions(uint8_t levels) { board.direction_levels = levels; }
 void set_motor_enable(bool level) { board.motor_level = level; }
 uint8_t limit_levels() { return switch_levels(); }

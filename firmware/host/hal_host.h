@@ -39,6 +39,7 @@ struct Board {
   uint8_t led_duty = 0;
   std::vector<Ticks> trigger_pulses;
   uint8_t strobe_edge = 0;
+  bool strobe_level = false;
   std::vector<uint8_t> memory = std::vector<uint8_t>(1024, 0xFF);
   uint64_t memory_writes = 0;
 

@@ -126,11 +126,14 @@ class AvrTable : public Table {
 
   std::string step_intervals() override {
     std::vector<uint64_t> sorted = intervals_;
+    uint64_t pulse = longest_pulse_;
     intervals_.clear();
-    if (sorted.empty()) return "0 0 0 0";
+    longest_pulse_ = 0;
+    if (sorted.empty()) return "0 0 0 0 0";
     std::sort(sorted.begin(), sorted.end());
     return std::to_string(sorted.size()) + " " + std::to_string(sorted.front()) + " " +
-           std::to_string(sorted[sorted.size() / 2]) + " " + std::to_string(sorted.back());
+           std::to_string(sorted[sorted.size() / 2]) + " " + std::to_string(sorted.back()) + " " +
+           std::to_string(pulse);
   }
 
   void save_memory() {
@@ -166,6 +169,7 @@ class AvrTable : public Table {
           [](avr_irq_t* irq, uint32_t level, void* wire) {
             auto* w = static_cast<StepWire*>(wire);
             if (level && !irq->value) w->table->on_step(w->axis);
+            if (!level && irq->value) w->table->on_step_end();
           },
           &step_wires_[axis]);
     }
@@ -192,6 +196,10 @@ class AvrTable : public Table {
       last_x_step_ = avr_->cycle;
     }
     set_limit(axis);
+  }
+
+  void on_step_end() {
+    if (last_x_step_ != 0) longest_pulse_ = std::max(longest_pulse_, avr_->cycle - last_x_step_);
   }
 
   void set_limit(int axis) {
@@ -251,6 +259,7 @@ class AvrTable : public Table {
   long trigger_pulses_ = 0;
   uint64_t last_x_step_ = 0;
   std::vector<uint64_t> intervals_;
+  uint64_t longest_pulse_ = 0;
 };
 
 }  // namespace

@@ -297,7 +297,7 @@ bool answer_query(const char* text) {
     report::Snapshot snapshot;
     {
       hal::Quiet quiet;
-      snapshot = report::take_snapshot();
+      report::take_snapshot(snapshot);
     }
     report::exact(UVGS_TEXT("POS"), snapshot);
   } else if (is_text(text, UVGS_TEXT("L"))) {

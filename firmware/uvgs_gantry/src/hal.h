@@ -63,7 +63,10 @@ void step_timer_stop();
 
 // Pins. Bit i belongs to axis i; levels are those of the pins, inversion is the core's work.
 void set_step_idle_levels(uint8_t levels);
-void step_pulse(uint8_t axes, uint8_t pulse_us);
+// The pulse is begun at the start of the step interrupt and ended by the same interrupt, no sooner than asked: an end by
+// another interrupt could come so late that two pulses become one.
+void begin_step_pulse(uint8_t axes);
+void end_step_pulse(uint8_t pulse_us);
 void set_directions(uint8_t levels);
 void set_motor_enable(bool level);
 uint8_t limit_levels();

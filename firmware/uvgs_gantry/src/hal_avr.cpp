@@ -1,7 +1,7 @@
 // The ATmega328P at 16 MHz: Arduino Uno or Nano with GRBL's pins.
 //
-// Timer 1 runs freely at 2 MHz: it is the clock, paces the steps (compare A), ends their pulses (compare B) and stamps
-// the camera strobe (input capture, fed by the analog comparator from A5). Timer 0 runs freely at 250 kHz, ends trigger
+// Timer 1 runs freely at 2 MHz: it is the clock, paces the steps (compare A) and stamps the camera strobe (input
+// capture, fed by the analog comparator from A5). Timer 0 runs freely at 250 kHz, ends trigger
 // pulses (compare B) and wakes the program while it waits (compare A). Timer 2 dims the LED at 62.5 kHz.
 #ifdef __AVR__
 
@@ -41,7 +41,7 @@ constexpr uint16_t LONGEST_TRIGGER_TURN = 250;  // counts of 4 us
 
 volatile uint32_t overflows;
 uint8_t step_idle;
-uint16_t trigger_left;
+uint16_t trigger_left, pulse_begun;
 ResetCause cause;
 
 }  // namespace
@@ -57,7 +57,7 @@ void init() {
 
   TIMSK0 = TIMSK1 = TIMSK2 = 0;
   TCCR1A = 0;
-  OCR1A = OCR1B = 0x8000;
+  OCR1A = 0x8000;
   TCNT1 = 0;
   overflows = 0;
   TIFR1 = 0xFF;
@@ -149,11 +149,15 @@ void set_step_idle_levels(uint8_t levels) {
   PORTD = static_cast<uint8_t>((PORTD & ~STEP_PINS) | step_idle);
 }
 
-void step_pulse(uint8_t axes, uint8_t pulse_us) {
+void begin_step_pulse(uint8_t axes) {
   PORTD = static_cast<uint8_t>((PORTD & ~STEP_PINS) | (step_idle ^ (axes << STEP_SHIFT)));
-  OCR1B = not_zero(TCNT1 + static_cast<uint16_t>(pulse_us) * 2);
-  TIFR1 = 1 << OCF1B;
-  TIMSK1 |= 1 << OCIE1B;
+  pulse_begun = TCNT1;
+}
+
+void end_step_pulse(uint8_t pulse_us) {
+  while (TCNT1 - pulse_begun < static_cast<uint16_t>(pulse_us) * 2) {
+  }
+  PORTD = static_cast<uint8_t>((PORTD & ~STEP_PINS) | step_idle);
 }
 
 void set_directions(uint8_t levels) {
@@ -314,11 +318,6 @@ struct ReadCause {
 ISR(TIMER1_OVF_vect) { hal::overflows = hal::overflows + 1; }
 
 ISR(TIMER1_COMPA_vect) { stepper::on_timer(); }
-
-ISR(TIMER1_COMPB_vect) {
-  PORTD = static_cast<uint8_t>((PORTD & ~hal::STEP_PINS) | hal::step_idle);
-  TIMSK1 &= static_cast<uint8_t>(~(1 << OCIE1B));
-}
 
 ISR(TIMER1_CAPT_vect) {
   uint16_t low = ICR1;

@@ -122,7 +122,7 @@ void end_motion() {
   report::Snapshot snapshot;
   {
     hal::Quiet quiet;
-    snapshot = report::take_snapshot();
+    report::take_snapshot(snapshot);
   }
   report::exact(UVGS_TEXT("DONE"), snapshot);
 }
@@ -382,7 +382,7 @@ bool on_real_time_byte(uint8_t byte) {
     case '~': bit = WANT_RESUME; break;
     case 0x85: bit = WANT_CANCEL; break;
     case 0xF0:
-      if (!(pending & WANT_EXACT)) asked = report::take_snapshot();
+      if (!(pending & WANT_EXACT)) report::take_snapshot(asked);
       bit = WANT_EXACT;
       break;
     case 0x18:

@@ -46,13 +46,11 @@ void clear() {
 
 void tell_overrides_next() { until_overrides = 0; }
 
-Snapshot take_snapshot() {
-  Snapshot s;
+void take_snapshot(Snapshot& s) {
   s.instant = hal::now();
   for (uint8_t i = 0; i < AXES; ++i) s.position[i] = stepper::position_in_interrupt(i);
   s.rested_since = stepper::rested_since();
   s.is_moving = stepper::is_moving_in_interrupt();
-  return s;
 }
 
 void state_word() {
@@ -142,7 +140,10 @@ void exact(const char* name_in_flash, const Snapshot& s) {
   if (s.is_moving) serial::put('M');
   if (is_writing) serial::put('W');
   if (has_lost) serial::put('O');
-  if (!s.is_moving && !is_writing && !has_lost) serial::put('-');
+  bool ran_dry = stepper::underruns() > 0, dropped = serial::rx_lost() > 0;
+  if (ran_dry) serial::put('U');
+  if (dropped) serial::put('B');
+  if (!s.is_moving && !is_writing && !has_lost && !ran_dry && !dropped) serial::put('-');
   serial::put('|');
   serial::unsigned_number(settings::boot_number());
   serial::end_checked();

@@ -14,7 +14,7 @@ struct Snapshot {
 };
 
 void clear();
-Snapshot take_snapshot();  // interrupts off
+void take_snapshot(Snapshot& snapshot);  // interrupts off
 void status();
 void exact(const char* name_in_flash, const Snapshot& snapshot);
 // Put the overrides into the next status report, as GRBL does after a change of the spindle.

@@ -39,6 +39,7 @@ bool is_cutting;
 uint32_t steps_left;
 float part_step;           // of the next step, already travelled
 float part_seconds;        // and the time that took
+float debt_ticks;
 float steps_per_mm;        // of the axis with most steps, along the path
 float speed;               // mm/s
 float slow_down_mm, top_speed, exit_speed;
@@ -64,7 +65,7 @@ volatile uint16_t underrun_count;
 void begin_block(const planner::Block& block) {
   is_cutting = true;
   steps_left = block.events();
-  part_step = part_seconds = 0.0f;
+  part_step = part_seconds = debt_ticks = 0.0f;
   steps_per_mm = static_cast<float>(steps_left) / block.length_mm;
   must_plan = true;
 }
@@ -144,15 +145,16 @@ Stretch advance(const planner::Block& block, float left, float seconds) {
 }
 
 void push_segment(uint32_t steps, float seconds_per_step, bool is_last) {
-  float exact = seconds_per_step * TICKS_PER_S;
-  // Rounded up, so never faster than planned.
-  uint32_t ticks = exact < 1e9f ? static_cast<uint32_t>(exact) + 1 : 1000000000u;
+  // Whole ticks only; what they fall short of in one segment is made up in the next, so that speeds are right on average.
+  float exact = seconds_per_step * TICKS_PER_S + debt_ticks / static_cast<float>(steps);
+  uint32_t ticks = exact < 1e9f ? static_cast<uint32_t>(exact + 0.5f) : 1000000000u;
   if (ticks < FASTEST_TICKS) ticks = FASTEST_TICKS;
   uint8_t level = 0;
   while (level < MOST_OVERSAMPLED && ticks >= OVERSAMPLE_TICKS) {
     ticks = (ticks + 1) >> 1;
     ++level;
   }
+  debt_ticks = (exact - static_cast<float>(ticks << level)) * static_cast<float>(steps);
   Segment& segment = ring[ring_in];
   segment.ticks = ticks;
   segment.events = static_cast<uint16_t>(steps << level);
@@ -325,7 +327,9 @@ void load(const Segment& segment) {
     const planner::Block& block = planner::block_at(segment.block);
     current_block = segment.block;
     modulus = block.events() << MOST_OVERSAMPLED;
-    for (uint8_t i = 0; i < AXES; ++i) counter[i] = modulus >> 1;
+    // The leading axis steps at the end of its interval whatever the oversampling; the others are centred between.
+    for (uint8_t i = 0; i < AXES; ++i)
+      counter[i] = block.count(i) << MOST_OVERSAMPLED == modulus ? 0 : modulus >> 1;
     out_negative = block.negative();
     hal::set_directions(out_negative ^ settings::now.direction_invert);
     current_level = 0xFF;
@@ -347,18 +351,10 @@ void schedule(uint32_t ticks) {
   hal::step_timer_next(static_cast<uint16_t>(ticks));
 }
 
-}  // namespace
-
-void on_timer() {
-  if (wait_left > 0) {
-    uint32_t ticks = wait_left;
-    wait_left = 0;
-    schedule(ticks);
-    return;
-  }
+void make_steps() {
   uint8_t axes = out_axes & static_cast<uint8_t>(~locked_axes);
   if (axes != 0) {
-    hal::step_pulse(axes, settings::now.pulse_us);
+    hal::begin_step_pulse(axes);
     for (uint8_t i = 0, bit = 1; i < AXES; ++i, bit = static_cast<uint8_t>(bit << 1)) {
       if (!(axes & bit)) continue;
       if (out_negative & bit) {
@@ -397,6 +393,19 @@ void on_timer() {
   }
   --current.events;
   schedule(current.ticks);
+}
+
+}  // namespace
+
+void on_timer() {
+  if (wait_left > 0) {
+    uint32_t ticks = wait_left;
+    wait_left = 0;
+    schedule(ticks);
+    return;
+  }
+  make_steps();
+  hal::end_step_pulse(settings::now.pulse_us);
 }
 
 }  // namespace stepper
