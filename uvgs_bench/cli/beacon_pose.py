@@ -35,8 +35,14 @@ def pose_summary(calibration: Calibration, beacon: Beacon) -> dict[str, object]:
     return {"beacon": beacon.name, "led_noise_px": LED_NOISE_PX, "ranges": rows}
 
 
-def print_pose_summary(calibration: Calibration, beacon: Beacon) -> None:
-    """Print the same."""
+def print_pose_summary(calibration: Calibration, beacon: Beacon, too_small: float = 1.0) -> None:
+    """Print the same.
+
+    Args:
+        calibration: The calibration.
+        beacon: The beacon.
+        too_small: How many times its deviations are too small by the evidence of two halves of the pictures.
+    """
     from rich.table import Table
 
     from uvgs_bench.cli.console import out
@@ -67,3 +73,7 @@ def print_pose_summary(calibration: Calibration, beacon: Beacon) -> None:
         out.print(table)
     for line in problems:
         out.print(line, markup=False)
+    if too_small > 1.0 and len(problems) < len(rows):
+        out.print(
+            f"two halves disagree {too_small:.2f} times more than predicted: the calibration's part may be as much larger"
+        )

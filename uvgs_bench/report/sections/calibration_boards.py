@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from uvgs_bench.camera.fitting import CalibrationResult
@@ -11,7 +9,7 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence
 from uvgs_bench.report.document import Figure, Section
-from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.figures import canvas, in_space, legend_above, series, space_axes, style, svg_of
 from uvgs_bench.report.palette import BLUE, FAINT, INK, ORANGE
 
 _CAMERA_SHARE = 0.3
@@ -65,12 +63,11 @@ def _view_3d(result: CalibrationResult, outlines: FloatArray, worst: set[int]) -
         f"{len(outlines)} boards before the camera, {depth.min():.3g} to {depth.max():.3g} m along its axis, "
         f"{np.ptp(middles[:, 0]):.3g} m wide and {np.ptp(middles[:, 1]):.3g} m high; largest residuals: {names}."
     )
-    # Plotted as (forward, right, up), so that the picture stands upright while the ticks keep the camera's axes.
-    order, sign = (2, 0, 1), np.array([1.0, 1.0, -1.0])
     pyramid = _pyramid(result.calibration.lens, _CAMERA_SHARE * float(depth.min()))
     with style(key):
         figure = canvas(height_in=3.9, arranges_itself=False)
-        axes: Any = figure.add_axes((0.0, 0.02, 0.97, 0.93), projection="3d")
+        everything = np.vstack([outlines.reshape(-1, 3), pyramid.reshape(-1, 3)])
+        axes = space_axes(figure, everything, elev_deg=20.0, azim_deg=-125.0)
         bad = np.isin(np.arange(len(outlines)), list(worst))
         for chosen, colour, label, width in (
             (outlines[~bad], BLUE, "boards", 1.0),
@@ -78,21 +75,7 @@ def _view_3d(result: CalibrationResult, outlines: FloatArray, worst: set[int]) -
             (pyramid, INK, "camera", 1.2),
         ):
             if len(chosen):
-                p = _with_gaps(chosen)[:, order] * sign
-                axes.plot(*p.T, "-", color=colour, lw=width, label=label)
-        axes.set_xlabel("z, forward (m)")
-        axes.set_ylabel("x, right (m)")
-        axes.set_zlabel("-y, up (m)")
-        everything = np.vstack([outlines.reshape(-1, 3), pyramid.reshape(-1, 3)])[:, order]
-        span = np.ptp(everything, axis=0)
-        axes.set_box_aspect(np.maximum(span, 0.35 * float(span.max())), zoom=0.87)
-        axes.view_init(elev=20, azim=-125)
-        axes.tick_params(labelsize=7.5)
-        from matplotlib.ticker import MaxNLocator
-
-        for which in (axes.xaxis, axes.yaxis, axes.zaxis):
-            which.pane.fill = False
-            which.set_major_locator(MaxNLocator(nbins=4))
+                axes.plot(*in_space(_with_gaps(chosen)).T, "-", color=colour, lw=width, label=label)
         figure.legend(loc="upper left", ncols=3, handletextpad=0.4, columnspacing=0.9, borderaxespad=0.2)
         svg = svg_of(figure, key, alt)
     numbers = tuple(series(f"middle {n}", "m", middles[:, k]) for k, n in enumerate("xyz"))

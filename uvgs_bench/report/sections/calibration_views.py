@@ -114,8 +114,8 @@ def _drift(result: CalibrationResult) -> list[Block]:
     moved = ", ".join(result.view_names[streak.view] for streak in trends.streaks) or "none"
     alt = (
         f"Focal length of {int(known.sum())} pictures in their order, relative to the common one: line from first to "
-        f"last {_PERCENT * trends.drift:+.3f} ± {_PERCENT * trends.drift_sigma:.3f} %. Pictures that look taken in motion: "
-        f"{moved}."
+        f"last {_PERCENT * trends.drift:+.3f} ± {_PERCENT * trends.drift_sigma:.3f} %. Pictures that look taken in "
+        f"motion: {moved}."
     )
     with style(key):
         figure = canvas(3.0)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Figure, Section, Series
-from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
+from uvgs_bench.report.figures import canvas, in_space, legend_above, series, space_axes, style, svg_of
 from uvgs_bench.report.palette import FAINT, ORANGE, SERIES
 from uvgs_bench.report.quantities import station_means
 from uvgs_bench.store.run import Run
@@ -73,49 +72,23 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
         f"as long as true. Longest {length_mm[worst]:.3g} mm at x {place[0]:.3f} m, y {place[1]:.3f} m, "
         f"z {place[2]:.3f} m; mean vector x {mean[0]:+.3g} mm, y {mean[1]:+.3g} mm, z {mean[2]:+.3g} mm."
     )
-    # Plotted as (forward, right, up), so that the picture stands upright while the ticks keep the camera's axes.
-    order, sign = (2, 0, 1), np.array([1.0, 1.0, -1.0])
     with style(key):
         figure = canvas(height_in=3.9, arranges_itself=False)
-        axes: Any = figure.add_axes((0.0, 0.02, 0.97, 0.93), projection="3d")
+        ends = np.stack([places, places + magnification * errors], axis=1)
+        axes = space_axes(figure, np.vstack([ends.reshape(-1, 3), fitted]))
         for cloud, colour, marker, label in (
             (fitted, FAINT, "x", "registration stations"),
             (places, SERIES[0], "o", "held-out stations"),
         ):
             if len(cloud):
-                p = cloud[:, order] * sign
-                axes.plot(p[:, 0], p[:, 1], p[:, 2], marker, color=colour, ms=3.5, label=label)
-        p, e = places[:, order] * sign, errors[:, order] * sign * magnification
-        ends = np.stack([p, p + e], axis=1)
+                axes.plot(*in_space(cloud).T, marker, color=colour, ms=3.5, label=label)
         # One line with gaps draws a thousand vectors as fast as one.
         gaps = np.concatenate([ends, np.full((len(ends), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-        axes.plot(*gaps.T, "-", color=ORANGE, lw=1.3, label=f"mean error × {magnification:g}")
-        axes.set_xlabel("z, forward (m)")
-        axes.set_ylabel("x, right (m)")
-        axes.set_zlabel("-y, up (m)")
-        axes.set_box_aspect(_box(np.vstack([ends.reshape(-1, 3), fitted[:, order] * sign])), zoom=0.87)
-        axes.view_init(elev=22, azim=-118)
-        axes.tick_params(labelsize=7.5)
-        for which in (axes.xaxis, axes.yaxis, axes.zaxis):
-            which.pane.fill = False
-            which.set_major_locator(_few_ticks())
+        axes.plot(*in_space(gaps).T, "-", color=ORANGE, lw=1.3, label=f"mean error × {magnification:g}")
         figure.legend(loc="upper left", ncols=3, handletextpad=0.3, columnspacing=0.9, borderaxespad=0.2)
         svg = svg_of(figure, key, alt)
     caption = f"Stations in the camera frame with their mean error vectors, {magnification:g} times as long as true."
     return Figure(key, svg, alt, caption, _data(places, errors))
-
-
-def _few_ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(nbins=4)
-
-
-def _box(points: FloatArray) -> FloatArray:
-    """Proportions of the box: true to scale, but never so flat that nothing can be seen."""
-    span = np.ptp(points, axis=0)
-    sides: FloatArray = np.maximum(span, 0.35 * max(float(span.max()), 1e-9))
-    return sides
 
 
 def _plane(
