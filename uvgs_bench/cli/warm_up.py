@@ -17,7 +17,7 @@ def warm_up() -> None:
     se3_left_jacobian_inverse(Pose.identity("camera", "beacon").log() + np.full(6, 0.1))
     with open_demo_bench(seed=0, speed=100.0) as demo:
         uvgs = Uvgs(demo.nominal_calibration, demo.beacon)
-        uvgs.warm_up()
+        uvgs.warm_up(colour=True)
         with demo.open_camera() as camera:
             capture = camera.grab()
         if capture is not None:

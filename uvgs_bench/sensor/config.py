@@ -39,7 +39,8 @@ class UvgsConfig:
         solver: Name in ``SOLVERS``.
         max_iterations: Most iterations of the solver. Of random views (60 degree cone, 0.5 to 3 m, 6000 per noise)
             30 would cut off 0.02 % at 0.5 px, 0.6 % at 1 px and 4 % at 2 px; 100 cuts off none, none and 0.2 %.
-        track: Whether a prior lets the sensor look in windows around the predicted LEDs first.
+        track: Whether a prior lets the sensor look in windows around the predicted LEDs first; of the solvers only
+            ``uvgs_lm`` does.
         track_captures: After so many captures solved from windows the whole picture is searched again.
         max_speed_mps: The beacon moves no faster than this before the camera, m/s; sizes the windows.
         max_turn_deg_s: It turns no faster than this, degrees per second.
