@@ -75,5 +75,5 @@ def print_pose_summary(calibration: Calibration, beacon: Beacon, too_small: floa
         out.print(line, markup=False)
     if too_small > 1.0 and len(problems) < len(rows):
         out.print(
-            f"two halves disagree {too_small:.2f} times more than predicted: the calibration's part may be as much larger"
+            f"two halves disagree {too_small:.2f} times more than predicted: so much larger may its part be in truth"
         )
