@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= reports/demo
 
-.PHONY: demo test slow lint install install-test clean
+.PHONY: demo test slow lint install install-test system-packages clean
 
 demo: install
 	$(BIN)/uvgs demo --out $(OUT) --force
@@ -25,7 +25,17 @@ $(VENV)/.installed-test: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group test
 	touch $@
 
-test: install-test
+# The firmware is compiled for the Arduino and run in a simulator. Where packages may not be installed, its tests are
+# skipped, except in CI.
+FIRMWARE_PACKAGES := gcc-avr binutils-avr avr-libc libsimavr-dev g++ make
+system-packages:
+	@if command -v avr-g++ >/dev/null && command -v g++ >/dev/null && test -e /usr/include/simavr/sim_avr.h; then :; \
+	elif ! command -v apt-get >/dev/null; then echo "for the firmware's tests install: $(FIRMWARE_PACKAGES)"; \
+	elif test "$$(id -u)" = 0; then apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(FIRMWARE_PACKAGES); \
+	elif sudo -n true 2>/dev/null; then sudo apt-get update -qq && sudo DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(FIRMWARE_PACKAGES); \
+	else echo "for the firmware's tests: sudo apt-get install $(FIRMWARE_PACKAGES)"; fi
+
+test: install-test system-packages
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

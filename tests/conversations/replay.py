@@ -1,4 +1,4 @@
-"""Replays written conversations with a GRBL controller against the mock, line by line.
+"""Replays written conversations with a GRBL controller against a simulated one, line by line.
 
 Format: ``# scene``, then ``ms > line sent``, ``ms >! 0xNN`` real-time byte, ``ms < line received`` or ``(empty line)``.
 """
@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 from uvgs_bench.devices.gantry.grbl_protocol import Report, read_received
-from uvgs_bench.devices.sim.grbl_device import GrblDevice
 from uvgs_bench.units import NS_PER_MS
 
 _EVENT = re.compile(r"^\s*(\d+) (>!|>|<) ?(.*)$")
@@ -21,6 +21,14 @@ LATE_MS = 150
 MOVING_MM = 0.1
 # Reported speed while moving: 12 mm/s^2 along a path times 20 ms, in mm/min, and the rounding down.
 MOVING_MM_MIN = 16.0
+
+
+class Device(Protocol):
+    """A simulated controller: the mock, or a board that runs the firmware."""
+
+    def receive(self, byte: int, t_ns: int) -> None: ...
+
+    def take_output(self, t_ns: int) -> bytes: ...
 
 
 @dataclass
@@ -52,7 +60,7 @@ def read_scenes(path: Path) -> dict[str, list[Exchange]]:
     return scenes
 
 
-def replay(exchanges: list[Exchange], device: GrblDevice) -> list[str]:
+def replay(exchanges: list[Exchange], device: Device) -> list[str]:
     """Send everything at its time; the differences, one text each."""
     differences: list[str] = []
     for index, exchange in enumerate(exchanges):
