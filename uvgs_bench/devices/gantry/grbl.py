@@ -7,7 +7,8 @@ a target is checked against the envelope before a byte is sent; positions are tr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Literal, Self
 
@@ -16,25 +17,22 @@ import numpy as np
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
+from uvgs_bench.devices.gantry.controller_clock import Exchange, StampedPosition, ask_clock
 from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, WireLog
+from uvgs_bench.devices.gantry.grbl_arrival import LATE_S, WATCH_S, Way, await_arrival
 from uvgs_bench.devices.gantry.grbl_identity import identify
 from uvgs_bench.devices.gantry.grbl_link import GrblLink
 from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
 from uvgs_bench.errors import ConfigError, GantryError, GantryLost, GantryRefused, GantryTimeout
 from uvgs_bench.geometry import FloatArray, read_only
-from uvgs_bench.units import ns_from_s, s_from_ns
+from uvgs_bench.units import ns_from_s
 
 _REPLY_S = 5.0
 _POLL_S = 0.1
-_WATCH_S = 0.25
-_MARGIN_S = 0.005
-_LATE_S = 5.0
-_SETTLED_ELSEWHERE_S = 0.5
+_RECORD_S = 0.02
 _REPLY_GRACE_S = 0.2
 _STOP_S = 10.0
-# Beside the path by this much, mm or deg, something is wrong; less is seen at the end anyway.
-_ASTRAY = 0.1
 _NEVER = -1
 _BARRIER = "G4P0.01"
 
@@ -61,6 +59,8 @@ class GrblGantry:
         self._homed_epoch = _NEVER
         self._is_homing = False
         self._may_move = False
+        self._last_state: GantryState | None = None
+        self._recorded: list[StampedPosition] | None = None
         self._info = ControllerInfo("", "", "", {})
         self._settings = ControllerSettings(read_only(np.ones(len(envelope.axes))), False, envelope.axes)
 
@@ -203,13 +203,14 @@ class GrblGantry:
         self._envelope.check_point(position)
         if not self._is_homed:
             raise GantryError("not homed: the position is unknown, so no move is made", self.port)
-        start = self._ask_state()
+        start = self._state_at_rest()
         if not start.is_trusted:
             raise GantryError(f"the controller is in state {start.activity}; a move starts at rest", self.port)
         lower, upper = [a.lower for a in self.axes], [a.upper for a in self.axes]
         target = np.clip(np.asarray(position, dtype=np.float64), lower, upper)
         self._envelope.check_path(start.position, target)
-        if self._is_at(start.position, target):
+        way = Way(self.axes, self._settings.steps, start.position, target, self.port)
+        if way.is_at_end(start.position):
             return start
         plan = protocol.plan_path(self._settings.axes, target - start.position, speed)
         style: Literal["jog", "line"] = "jog" if self._link.dialect.has_jog else "line"
@@ -218,12 +219,13 @@ class GrblGantry:
         except ValueError as error:
             raise GantryError(str(error), self.port) from None
         self._may_move = True
+        self._last_state = None
         begun_ns = self._clock.now_ns()
         try:
             self._link.command(line, _REPLY_S)
             if style == "line":
-                self._link.command(_BARRIER, plan.duration_s + _LATE_S)
-            state = self._await_arrival(start.position, target, begun_ns, plan.duration_s)
+                self._link.command(_BARRIER, plan.duration_s + LATE_S)
+            state = self._await_arrival(way, begun_ns, plan.duration_s)
         except GantryTimeout:
             self._brake()
             raise
@@ -265,6 +267,24 @@ class GrblGantry:
             state = self._ask_state()
         self._may_move = False
         return state
+
+    @contextmanager
+    def recording(self) -> Iterator[list[StampedPosition]]:
+        """Within this, every position the controller reports is kept with its time, and moves are watched closely.
+
+        Yields:
+            The positions so far, in the order of time. On an 8-bit controller one may be torn while it moves.
+        """
+        self._recorded = []
+        try:
+            yield self._recorded
+        finally:
+            self._recorded = None
+
+    def exchange(self) -> Exchange | None:
+        """Ask the controller's own clock what time it is; None where it has none. Raises GantryTimeout, GantryLost."""
+        self._check_open()
+        return ask_clock(self._link, self._clock) if self._link.dialect.has_checksums else None
 
     def ask(self, line: str) -> list[str]:
         """Send a line that moves nothing, and return the lines that answer it; ``?`` is answered by a report.
@@ -334,13 +354,17 @@ class GrblGantry:
         return self._homed_epoch == self._link.epoch
 
     def _ask_state(self) -> GantryState:
+        asked_ns = self._clock.now_ns()
         report, machine = self._link.ask_report(len(self.axes))
+        if self._recorded is not None:
+            position = protocol.si_from_controller(self.axes, machine)
+            self._recorded.append(StampedPosition.between(asked_ns, self._clock.now_ns(), position))
         if report.activity in ("Alarm", "Sleep"):
             self._homed_epoch = _NEVER
         fields = dict(report.fields)
         if report.substate:
             fields["substate"] = report.substate
-        return GantryState(
+        self._last_state = GantryState(
             t_ns=self._clock.now_ns(),
             activity=report.activity,
             position=protocol.si_from_controller(self.axes, machine),
@@ -348,56 +372,18 @@ class GrblGantry:
             is_trusted=self._is_homed and report.activity == "Idle",
             details=fields,
         )
+        return self._last_state
 
-    def _is_at(self, position: FloatArray, target: FloatArray) -> bool:
-        off = np.abs(protocol.controller_from_si(self.axes, read_only(position - target)))
-        return bool(np.all(off <= 0.5 / self._settings.steps + 1.5 * protocol.REPORT_STEP))
+    def _state_at_rest(self) -> GantryState:
+        """The last state, when it was trusted, is young, and nothing was said since; otherwise asked anew."""
+        last = self._last_state
+        if last is None or not last.is_trusted or self._homed_epoch != self._link.epoch or self._wire.has_input:
+            return self._ask_state()
+        return last if self._clock.now_ns() - last.t_ns < ns_from_s(WATCH_S) else self._ask_state()
 
-    def _await_arrival(self, start: FloatArray, target: FloatArray, begun_ns: int, duration_s: float) -> GantryState:
-        """Watch until Idle at the target. One Idle is not enough: the controller may not have begun to move.
-
-        A line has no checksum, so a damaged one may be another move: who leaves the path is stopped. One report off the
-        path may itself be damaged, or torn; two in a row are believed.
-        """
-        expected_ns = begun_ns + ns_from_s(duration_s + _MARGIN_S)
-        deadline_ns = expected_ns + ns_from_s(0.5 * duration_s + _LATE_S)
-        idle_since_ns: int | None = None
-        strays = 0
-        while True:
-            early_s = s_from_ns(expected_ns - self._clock.now_ns())
-            if strays == 0:
-                # Watch seldom on the way, closely just after the expected time, then as often as the controller likes.
-                self._link.listen(min(_WATCH_S, early_s) if early_s > 0.0 else min(_POLL_S, _MARGIN_S - early_s))
-            state = self._ask_state()
-            strays = strays + 1 if self._is_astray(state.position, start, target) else 0
-            if strays == 2:
-                self._brake()
-                raise GantryError(
-                    f"left its path from {self._described(start)} to {self._described(target)}: it was seen at "
-                    f"{self._described(state.position)} and told to stop",
-                    self.port,
-                )
-            if state.activity == "Idle":
-                if self._is_at(state.position, target):
-                    return state
-                idle_since_ns = state.t_ns if idle_since_ns is None else idle_since_ns
-                if state.t_ns - idle_since_ns > ns_from_s(_SETTLED_ELSEWHERE_S):
-                    raise GantryError(
-                        f"came to rest at {self._described(state.position)} instead of {self._described(target)}",
-                        self.port,
-                    )
-            elif state.activity in ("Jog", "Run"):
-                idle_since_ns = None
-            else:
-                raise GantryError(f"the move was broken off: the controller is in state {state.activity}", self.port)
-            if state.t_ns > deadline_ns:
-                raise GantryTimeout(f"not arrived {_LATE_S:g} s after the expected time", self.port)
-
-    def _is_astray(self, position: FloatArray, start: FloatArray, target: FloatArray) -> bool:
-        """Whether a position is beside the straight way, by more than steps and rounding explain."""
-        p, q = (protocol.controller_from_si(self.axes, read_only(x - start)) for x in (position, target))
-        share = min(1.0, max(0.0, float(p @ q) / float(q @ q)))
-        return bool(np.any(np.abs(p - share * q) > 2.0 / self._settings.steps + _ASTRAY))
+    def _await_arrival(self, way: Way, begun_ns: int, duration_s: float) -> GantryState:
+        every_s = WATCH_S if self._recorded is None else _RECORD_S
+        return await_arrival(way, self._link, self._clock, self._ask_state, self._brake, begun_ns, duration_s, every_s)
 
     def _come_to_rest(self) -> GantryState:
         deadline_ns = self._clock.now_ns() + ns_from_s(_STOP_S)
@@ -426,11 +412,6 @@ class GrblGantry:
             self._wire.send_byte(protocol.HOLD)
         except GantryLost as error:
             self._wire.remark(f"cannot brake: {error}")
-
-    def _described(self, position: FloatArray) -> str:
-        return " ".join(
-            f"{axis.name} {axis.described(float(value))}" for axis, value in zip(self.axes, position, strict=True)
-        )
 
     def _check_open(self) -> None:
         if not self._is_open:

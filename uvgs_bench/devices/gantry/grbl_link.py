@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.grbl_codes import BAD_CHECKSUM, Dialect, find_dialect
@@ -160,6 +162,11 @@ class GrblLink:
                     )
                 return report, machine
         raise GantryError("the controller reports work positions and never their offset (WCO)", self.port)
+
+    def received_until(self, deadline_ns: int) -> Iterator[protocol.Received]:
+        """What comes until an instant, bench time ns. Raises GantryAlarm and GantryLost."""
+        while (item := self._receive(deadline_ns)) is not None:
+            yield item
 
     def listen(self, duration_s: float) -> None:
         """Take in what comes for a while. Raises GantryAlarm and GantryLost."""

@@ -6,6 +6,7 @@ Source: the GRBL 1.1 interface description and recorded conversations with grbl 
 from __future__ import annotations
 
 import re
+from binascii import crc_hqx
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, isfinite
@@ -21,6 +22,8 @@ RESET = 0x18
 STATUS = 0x3F
 HOLD = 0x21
 JOG_CANCEL = 0x85
+POSITION = 0xF0
+"""Asks our own firmware for its time and step counters."""
 LONGEST_LINE = 80
 """Characters a controller's line buffer holds, its terminator included."""
 
@@ -162,6 +165,18 @@ def _read_report(text: str) -> Report | Unknown:
     if not activity.isalpha() or not ("machine" in positions or "work" in positions):
         return Unknown(text)
     return Report(activity, substate, positions.get("machine"), positions.get("work"), positions.get("offset"), fields)
+
+
+def read_stamp(message: Message) -> float | None:
+    """The controller's time in a position report ``[POS:...*CRC]``, us; None when it is damaged.
+
+    Source: ``firmware/PROTOCOL.md``: CRC-16/CCITT-FALSE of everything between the bracket and the star.
+    """
+    text, _, check = f"{message.name}:{message.text}".rpartition("*")
+    fields = text.split("|")
+    if len(fields) < 3 or f"{crc_hqx(text.encode('latin-1', 'replace'), 0xFFFF):04X}" != check:
+        return None
+    return float(fields[2])
 
 
 def shown(received: Received) -> str:

@@ -58,6 +58,11 @@ class GrblWire:
         if faults is not None:
             self._port = FaultyPort(self._port, faults, clock)
 
+    @property
+    def has_input(self) -> bool:
+        """Whether something has come that was not read. Raises GantryLost."""
+        return bool(self._buffer) or self._on_port(lambda: int(self._port.in_waiting)) > 0
+
     def remark(self, text: str) -> None:
         """Put a remark into the log."""
         self._log(self._clock.now_ns(), "#", text)
