@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from uvgs_bench.camera import Calibration, Lens
+from uvgs_bench.camera.calibration import Verdict
 from uvgs_bench.cli.app import main
 from uvgs_bench.devices.sim.bench import true_lens
 from uvgs_bench.devices.sim.board_views import SimulatedBoardSource
@@ -32,6 +33,22 @@ def run(*arguments: object) -> int:
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def test_a_refit_follows_a_lens_only_as_far_as_it_is_known(tmp_path, capsys):
+    wide = Lens("plumb_bob", 1280, 960, np.array([700.0, 700.0, 640.0, 480.0, -0.25, 0.06, 0.0, 0.0, 0.0]))
+    verdict = Verdict("usable_within_radius", 300.0, ("boards were seen no farther out",))
+    worst = {}
+    for name, judged in (("whole", None), ("within", verdict)):
+        path = tmp_path / f"{name}.yaml"
+        write_calibration(path, Calibration(wide, name, np.eye(9) * 1e-9, 0.2, verdict=judged))
+        target = tmp_path / f"{name}.txt"
+        assert run("camera", "convert", path, target, "--refit", "fov", "--json") == 0
+        done = json.loads(capsys.readouterr().out)
+        worst[name] = done["max_px"]
+        # A disc of 300 px in a picture of 1280x960 px is 23 % of it.
+        assert done["covered_share"] == pytest.approx(1.0 if judged is None else 0.23, abs=0.02)
+    assert worst["within"] < 0.2 * worst["whole"]
 
 
 @pytest.fixture
@@ -193,8 +210,8 @@ def test_check_with_too_few_views_is_inconclusive(photographs, tmp_path, capsys)
 
 def test_show_makes_a_page_of_a_camera_file_alone(navcam, tmp_path, capsys):
     beacon = BOARD.parents[1] / "beacons" / "tetra_small.toml"
-    assert run("camera", "show", navcam, "--beacon", beacon) == 2
-    assert "--report" in capsys.readouterr().err
+    assert run("camera", "show", navcam, "--beacon", beacon) == 0
+    assert "calibrate again" in " ".join(capsys.readouterr().out.split())
     page = tmp_path / "page"
     assert run("camera", "show", navcam, "--beacon", beacon, "--report", page, "--json") == 0
     assert json.loads(capsys.readouterr().out)["report"]["html"] == str(page / "report.html")

@@ -143,7 +143,7 @@ def check_coverage(model: str, count: int, *, is_noise_equal: bool = True) -> No
         # What a long study must reach, parameter by parameter and place by place: one and a half percent, 2.2 standard
         # errors of a share of 1000.
         shares = np.concatenate([by_parameter, by_place])
-        assert np.abs(shares - 0.95).max() < (0.015 if is_noise_equal else 0.025)
+        assert np.abs(shares - 0.95).max() < 0.015
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "fov"])

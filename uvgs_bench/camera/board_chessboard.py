@@ -3,7 +3,7 @@
 Corners come from OpenCV's classic detector, refined with a window that stays clear of the neighbouring corners; its
 sector-based detector is the second try where they are none or noisy, and the quieter corners are kept. Both also find
 a small pattern inside a larger board, so the ring of places where a larger board would have its next corners is looked
-at, too. Where an odd and an even number of corners make the two ends differ, the first corner is the one at the black end.
+at, too. Where an odd and an even number of corners make the ends differ, the first corner is that at the black end.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import pi
+from math import inf, pi
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from uvgs_bench.geometry.se3 import nearest_rotation, so3_exp
 
 _GRID_COLUMNS = 40
 _MAX_ITERATIONS = 100
+# Fewer pixels than this do not hold a lens of sixteen parameters.
+_LEAST_PIXELS = 50
 # A fit this good is the same map; further steps only move rounding errors.
 _EXACT_PX = 1e-9
 _POLYNOMIALS = ("plumb_bob", "rational_polynomial", "thin_prism")
@@ -171,13 +173,14 @@ class Refit:
     covered_share: float
 
 
-def refit(lens: Lens, model: str, zeros: tuple[str, ...] = ()) -> Refit:
+def refit(lens: Lens, model: str, zeros: tuple[str, ...] = (), radius_px: float = inf) -> Refit:
     """Find the lens of another model that is nearest over the field the first lens covers.
 
     Args:
         lens: The lens to replace.
         model: Key of ``LENSES``.
         zeros: Coefficients that must stay zero.
+        radius_px: Distance from the principal point up to which the first lens means anything, px.
 
     Returns:
         The new lens, and by how many pixels it is wrong.
@@ -189,7 +192,9 @@ def refit(lens: Lens, model: str, zeros: tuple[str, ...] = ()) -> Refit:
         raise CalibrationError(f"unknown lens model '{model}', expected one of {', '.join(LENSES)}")
     px = _grid(lens).reshape(-1, 2)
     rays = lens.unproject(px)
-    covered = np.isfinite(rays).all(axis=1)
+    covered = np.isfinite(rays).all(axis=1) & _near(lens, px, radius_px)
+    if int(covered.sum()) < _LEAST_PIXELS:
+        raise CalibrationError(f"the lens is known only within {radius_px:.0f} px: too little to refit it")
     rays, px = np.ascontiguousarray(rays[covered]), np.ascontiguousarray(px[covered])
     off_axis = np.arctan2(np.linalg.norm(rays[:, :2], axis=1), rays[:, 2])
     if model != "equidistant" and float(off_axis.max()) > _AHEAD_RAD:
@@ -203,7 +208,7 @@ def refit(lens: Lens, model: str, zeros: tuple[str, ...] = ()) -> Refit:
     # Judged on other pixels than it was fitted to.
     fine = _grid(lens, 2 * _GRID_COLUMNS + 1).reshape(-1, 2)
     fine_rays = lens.unproject(fine)
-    known = np.isfinite(fine_rays).all(axis=1)
+    known = np.isfinite(fine_rays).all(axis=1) & _near(lens, fine, radius_px)
     best: Refit | None = None
     for begin in _starts(lens, model, rays, px, free):
         fitted = _fitted(begin, rays, px, free)
@@ -216,6 +221,11 @@ def refit(lens: Lens, model: str, zeros: tuple[str, ...] = ()) -> Refit:
     if best is None:
         raise CalibrationError(f"no {model} lens covers the field of this {lens.model} lens")
     return best
+
+
+def _near(lens: Lens, px: FloatArray, radius_px: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    near: np.ndarray[tuple[int], np.dtype[np.bool_]] = np.linalg.norm(px - lens.parameters[2:4], axis=1) <= radius_px
+    return near
 
 
 def _starts(lens: Lens, model: str, rays: FloatArray, px: FloatArray, free: FloatArray) -> Iterator[Lens]:

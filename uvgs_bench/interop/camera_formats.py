@@ -154,6 +154,8 @@ def kalibr_text(lens: Lens, name: str) -> str:
 
 _MATRIX_KEYS = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _COEFFICIENT_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "D")
+# Of the two cameras of a stereo pair, each followed by 1 or 2, as OpenCV's samples and their heirs write them.
+_STEREO_KEYS = (("M", "D"), ("K", "D"), ("cameraMatrix", "distCoeffs"), ("camera_matrix_", "distortion_coefficients_"))
 _BY_LENGTH = {
     0: "plumb_bob",
     4: "plumb_bob",
@@ -165,38 +167,51 @@ _BY_LENGTH = {
 
 
 def read_opencv(text: str, path: str, size_px: Size | None) -> dict[str, Lens]:
-    """The camera of an OpenCV FileStorage file. Raises FormatError, CalibrationError."""
+    """The camera, or the two of a stereo pair, of an OpenCV FileStorage file. Raises FormatError, CalibrationError."""
     import cv2
 
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as error:
         raise FormatError(f"not a valid OpenCV file: {' '.join(str(error).split())[:160]}", path) from None
+    found: dict[str, tuple[object, object]] = {}
     try:
-        matrix, coefficients = (_first_matrix(storage, keys, path) for keys in (_MATRIX_KEYS, _COEFFICIENT_KEYS))
+        for name, keys in _opencv_pairs(storage).items():
+            matrix, coefficients = (_first_matrix(storage, choice, path) for choice in keys)
+            found[name] = (matrix, coefficients)
         width, height = storage.getNode("image_width"), storage.getNode("image_height")
         if not width.empty() and not height.empty():
             size_px = _whole([width.real(), height.real()], path, "image_width, image_height")
         named = storage.getNode("distortion_model")
         model = named.string() if not named.empty() and named.isString() else ""
         flag = storage.getNode("fisheye_model")
-        is_fisheye = not flag.empty() and flag.real() != 0.0
+        is_fisheye = (not flag.empty() and flag.real() != 0.0) or model in ("equidistant", "fisheye")
     except cv2.error as error:
         raise FormatError(f"not a valid OpenCV file: {' '.join(str(error).split())[:160]}", path) from None
     finally:
         storage.release()
     if size_px is None:
         raise FormatError("no image_width and image_height: say the picture's size with --size", path)
-    values = _numbers(coefficients, path, "distortion_coefficients")
-    if (is_fisheye or model in ("equidistant", "fisheye")) and len(values) == 4:
-        model = "equidistant"
-    elif len(values) not in _BY_LENGTH:
+    return {name: _opencv_lens(pair, is_fisheye, size_px, path) for name, pair in found.items()}
+
+
+def _opencv_pairs(storage: Any) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Keys of matrix and coefficients by the name of the camera: one, or the two of a stereo file."""
+    for matrix, coefficients in _STEREO_KEYS:
+        if not storage.getNode(f"{matrix}1").empty():
+            sides = [side for side in "12" if not storage.getNode(f"{matrix}{side}").empty()]
+            return {f"camera{side}": ((f"{matrix}{side}",), (f"{coefficients}{side}",)) for side in sides}
+    return {"camera": (_MATRIX_KEYS, _COEFFICIENT_KEYS)}
+
+
+def _opencv_lens(pair: tuple[object, object], is_fisheye: bool, size_px: Size, path: str) -> Lens:
+    values = _numbers(pair[1], path, "distortion_coefficients")
+    if len(values) not in _BY_LENGTH:
         raise FormatError(f"distortion_coefficients: {len(values)} numbers, expected 4, 5, 8, 12 or 14", path)
-    else:
-        model = _BY_LENGTH[len(values)]
     if any(values[12:]):
         raise FormatError("a tilted sensor (tau_x, tau_y) is no lens here", path)
-    return {"camera": _lens(model, size_px, _from_matrix(matrix, path, "camera_matrix"), values[:12])}
+    model = "equidistant" if is_fisheye and len(values) == 4 else _BY_LENGTH[len(values)]
+    return _lens(model, size_px, _from_matrix(pair[0], path, "camera_matrix"), values[:12])
 
 
 def _first_matrix(storage: Any, keys: tuple[str, ...], path: str) -> object:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +128,10 @@ def convert_camera(
     written, refitted = read, None
     if refit_model:
         zeros = () if target == OWN_FORMAT else CAMERA_FORMATS[target].must_be_zero.get(refit_model, ())
-        refitted = refit(read.lens, refit_model, zeros)
+        verdict = read.verdict
+        is_partial = verdict is not None and verdict.word == "usable_within_radius"
+        # Beyond, the lens is a guess, and no new lens need follow it there.
+        refitted = refit(read.lens, refit_model, zeros, verdict.radius_px if verdict and is_partial else inf)
         figures = (
             f"refitted from {read.lens.model}: RMS {refitted.rms_px:.4f} px, at most {refitted.max_px:.4f} px off "
             f"over {100.0 * refitted.covered_share:.1f} % of the picture"

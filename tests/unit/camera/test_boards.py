@@ -133,7 +133,7 @@ def test_turns_after_which_a_board_looks_the_same(kind, columns, rows, turn):
     assert symmetry(board) == turn
     # By the drawing: the printed board, turned.
     drawn = board_texture(board, 16)[0]
-    if kind != "led_grid":
+    if kind in ("chessboard", "circles"):
         # Discs fall differently on their pixels: a shifted disc would change a tenth of the picture.
         half = np.mean(drawn != np.rot90(drawn, 2)) < 0.03
         quarter = drawn.shape[0] == drawn.shape[1] and np.mean(drawn != np.rot90(drawn)) < 0.03

@@ -119,6 +119,24 @@ def test_opencv_files_with_either_first_line(head, tmp_path):
     seen.release()
 
 
+@pytest.mark.parametrize(("matrix", "coefficients"), [("M", "D"), ("cameraMatrix", "distCoeffs")])
+def test_opencv_stereo_files_hold_two_cameras(matrix, coefficients, tmp_path):
+    path = tmp_path / "intrinsics.yml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for side, name in ((1, "plumb_bob"), (2, "rational_polynomial")):
+        storage.write(f"{matrix}{side}", lens(name).camera_matrix())
+        storage.write(f"{coefficients}{side}", np.array(LENSES[name][4:]).reshape(1, -1))
+    storage.release()
+    with pytest.raises(FormatError, match="--size"):
+        read_lenses(path.read_text())
+    found = read_lenses(path.read_text(), "x", (1280, 960))
+    assert list(found) == ["camera1", "camera2"]
+    assert found["camera1"].model == "plumb_bob"
+    np.testing.assert_allclose(found["camera2"].parameters, LENSES["rational_polynomial"], rtol=0, atol=1e-15)
+    with pytest.raises(FormatError, match=rf"{coefficients}2: this key is required"):
+        read_lenses(path.read_text().replace(f"{coefficients}2", "other"), "x", (1280, 960))
+
+
 def test_opencv_fourteen_coefficients_sizes_and_breakage():
     text = lens_text(lens("thin_prism"), "opencv")
     tilted = text.replace("rows: 12", "rows: 14").replace("]\ndistortion_model", ", 0.0, 0.0]\ndistortion_model")
