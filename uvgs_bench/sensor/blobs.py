@@ -10,6 +10,8 @@ import numpy as np
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor import centroid_kernels as ck
 from uvgs_bench.sensor import detection_kernels as dk
+from uvgs_bench.sensor import peak_kernels as pk
+from uvgs_bench.sensor.background_kernels import background_and_noise
 from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.preprocess import intensity, segment
@@ -19,6 +21,8 @@ MAX_COMPONENTS = 256
 _BINARY_SIGMA_PX = 0.3
 # Of a million pixels of pure noise, one or two exceed this many deviations.
 _PEAK_TO_NOISE = 5.0
+# Bumps of a texture that fills most of the picture are seldom higher above its dark places.
+_PEAK_TO_TEXTURE = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +106,7 @@ def full_scale_dn(image: ImageArray, brightest_dn: float | None = None) -> float
 
 def noise_dn(raw: ImageArray) -> float:
     """Deviation of the pixel noise, DN, from neighbours on a sparse grid: a gradient or a few lights do not matter."""
-    return dk.background_and_noise(raw, dk.tile_maxima(raw))[1]
+    return background_and_noise(raw, int(raw.max()))[1]
 
 
 def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
@@ -116,11 +120,12 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
         The blobs, possibly none, or why there is no point in looking.
     """
     raw = intensity(capture.image)
-    maxima = dk.tile_maxima(raw)
+    maxima = pk.tile_maxima(raw)
     brightest = float(maxima.max())
     full_scale = full_scale_dn(raw, brightest)
-    background, noise = dk.background_and_noise(raw, maxima)
-    contrast = brightest - background
+    background, noise, texture = background_and_noise(raw, int(brightest))
+    # Before a bright wall lights stand out from what is dark about them.
+    contrast = brightest - min(background, float(maxima.min()))
     if contrast < config.min_contrast * full_scale:
         return NoBlobs(
             "preprocess",
@@ -131,14 +136,15 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     if config.detection == "paper":
         found = _components_of_segmentation(raw, config)
     else:
-        floor = max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise)
+        floor = max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise, _PEAK_TO_TEXTURE * texture)
         table = np.empty((MAX_COMPONENTS, dk.COMPONENT_COLUMNS))
-        half = config.window_px // 2
-        level = background + floor
-        count = dk.find_components(raw, maxima, level, half, config.threshold_k, floor, config.threshold_floor, table)
+        count = dk.find_components(
+            raw, maxima, config.window_px // 2, config.threshold_k, floor, config.threshold_floor,
+            int(2.0 * config.max_area_px2), table,
+        )  # fmt: skip
         found = table[:count] if count >= 0 else None
     if found is None:
-        return NoBlobs("blobs", "too_many_blobs", f"more than {MAX_COMPONENTS} bright places or {dk.MAX_PEAKS} peaks")
+        return NoBlobs("blobs", "too_many_blobs", f"more than {MAX_COMPONENTS} bright places or {pk.MAX_PEAKS} peaks")
     return _measure(capture.image, raw, found, full_scale, config)
 
 
@@ -172,14 +178,15 @@ def _components_of_segmentation(raw: ImageArray, config: UvgsConfig) -> FloatArr
 
 
 def _measure(image: ImageArray, raw: ImageArray, table: FloatArray, full_scale: float, config: UvgsConfig) -> Blobs:
-    """Centroids, deviations and colours of components. Blobs far out of the area limits are not worth measuring."""
-    area = table[:, dk.AREA]
-    table = table[(area >= 0.5 * config.min_area_px2) & (area <= 2.0 * config.max_area_px2)]
+    """Centroids, deviations and colours of components. What no gate lets pass keeps its binary centroid."""
+    table = table[table[:, dk.AREA] >= 0.5 * config.min_area_px2]
     area = table[:, dk.AREA].copy()
     boxes = np.ascontiguousarray(table[:, dk.X0 : dk.Y1 + 1])
-    measured = np.empty((len(table), ck.MEASURE_COLUMNS))
+    circularity = 4.0 * pi * area / np.maximum(table[:, dk.PERIMETER], 1e-9) ** 2
     gain = config.gain_e_per_dn * 255.0 / full_scale
-    ck.measure_blobs(raw, boxes, gain, full_scale, measured)
+    fit = (area <= config.max_area_px2) & (circularity >= config.min_circularity)
+    measured = np.empty((len(table), ck.MEASURE_COLUMNS))
+    ck.measure_blobs(raw, boxes, fit, gain, full_scale, measured)
     binary = table[:, (dk.SUM_X, dk.SUM_Y)] / area[:, None]
     binary_sigma = _BINARY_SIGMA_PX / np.sqrt(np.maximum(2.0 * np.sqrt(area / pi), 1.0))
     weighted = np.isfinite(measured[:, ck.CX])
@@ -187,12 +194,11 @@ def _measure(image: ImageArray, raw: ImageArray, table: FloatArray, full_scale: 
         weighted = np.zeros(len(table), dtype=bool)
     centroid = np.where(weighted[:, None], measured[:, (ck.CX, ck.CY)], binary)
     sigma = np.where(weighted, measured[:, ck.SIGMA], binary_sigma)
-    perimeter = np.maximum(table[:, dk.PERIMETER], 1e-9)
     height, width = raw.shape
     on_edge = (boxes[:, 0] <= 0) | (boxes[:, 1] <= 0) | (boxes[:, 2] >= width - 1) | (boxes[:, 3] >= height - 1)
     hue, saturation = _colours(image, boxes, full_scale)
     return Blobs(
-        centroid, sigma, area, 4.0 * pi * area / perimeter**2, boxes, hue, saturation,
+        centroid, sigma, area, circularity, boxes, hue, saturation,
         measured[:, ck.PEAK].copy(), measured[:, ck.CLIPPED].copy(), on_edge,
     )  # fmt: skip
 

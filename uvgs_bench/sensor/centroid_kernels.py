@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import ceil, exp, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
@@ -14,13 +15,21 @@ from uvgs_bench.sensor.capture import ImageArray
 WINDOW_RATIO = 1.4
 # What a flat, clipped top adds to the deviation of a centroid, by trial on drawn spots.
 CLIPPED_SIGMA_PX = 0.008
+# Pixels far apart differ by so much more in variance than neighbours where the background is uneven.
+_UNEVEN = 1.6
+# What is left of the light of a near neighbour, by trial on drawn pairs: this share of the spot's width at so many
+# widths, falling at this rate with the distance.
+_NEAR_SHARE, _NEAR_WIDTHS, _NEAR_RATE = 0.05, 3.6, 1.5
 # Columns of the measurement table.
 CX, CY, SIGMA, PEAK, BACKGROUND, WIDTH, CLIPPED, MEASURE_COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7
 
 
 @compiled
-def _ring_background(image: ImageArray, x0: int, y0: int, x1: int, y1: int, peak: float) -> tuple[float, float]:
-    """Mean and variance of the undisturbed pixels of a frame 3 px wide around a box."""
+def _ring_background(image: ImageArray, x0: int, y0: int, x1: int, y1: int, peak: float) -> tuple[float, float, bool]:
+    """Mean and variance of the undisturbed pixels of a frame 3 px wide around a box, and whether it is uneven.
+
+    Uneven means that neighbours are much more alike than pixels far apart.
+    """
     height, width = image.shape
     # Whole numbers add up without rounding in any order, so that the sums run on whole registers.
     frame = np.empty(6 * (x1 - x0 + y1 - y0 + 8), dtype=np.int64)
@@ -52,7 +61,14 @@ def _ring_background(image: ImageArray, x0: int, y0: int, x1: int, y1: int, peak
         mean = total / n
         variance = max(square / n - mean * mean, 0.0)
         limit = min(mean + 3.5 * sqrt(variance) + 1.0, mean + 0.5 * (peak - mean))
-    return mean, variance
+    steps = 0.0
+    n = 0
+    for i in range(1, filled):
+        if frame[i] < limit and frame[i - 1] < limit:
+            step = frame[i] - frame[i - 1]
+            steps += step * step
+            n += 1
+    return mean, variance, n > 0 and variance > _UNEVEN * max(0.5 * steps / n, 1.0 / 12.0)
 
 
 @compiled
@@ -79,12 +95,12 @@ def _bell(x: float, low: int, high: int, curvature: float, out: FloatArray) -> N
 
 @compiled
 def _settle(
-    patch: FloatArray, x: float, y: float, s: float, noise: float, gain_e_per_dn: float
-) -> tuple[float, float, float]:
-    """Fixed point of the windowed centroid in a patch without background, and its variance; NaN when it wanders off.
+    patch: FloatArray, x: float, y: float, s: float, noise: float, gain_e_per_dn: float, clip: float
+) -> tuple[float, float, float, float]:
+    """Fixed point of the windowed centroid in a patch without background, its variance and slope; NaN when it wanders.
 
     Newton's method on ``sum w I (u - x) = 0``; its slope is what the error propagation needs as well. Columns are
-    summed first, because sums side by side run on whole registers.
+    summed first, because sums side by side run on whole registers. Pixels that reach ``clip`` have no noise.
     """
     height, width = patch.shape
     # There the product of window and spot is below 1e-5.
@@ -144,7 +160,7 @@ def _settle(
                 w2 = w0 * dy * dy
                 row = patch[v, u0:u1]
                 for k in range(n):
-                    variance = noise + shot * max(row[k], 0.0)
+                    variance = noise + shot * max(row[k], 0.0) if row[k] < clip else 0.0
                     first[k] += w0 * variance
                     second[k] += w2 * variance
             vx = vy = 0.0
@@ -152,12 +168,13 @@ def _settle(
                 dx = u0 + k - x
                 vx += ex[k] * ex[k] * dx * dx * first[k]
                 vy += ex[k] * ex[k] * second[k]
-            return x + step_x, y + step_y, 0.5 * (vx / (slope_x * slope_x) + vy / (slope_y * slope_y))
+            variance = 0.5 * (vx / (slope_x * slope_x) + vy / (slope_y * slope_y))
+            return x + step_x, y + step_y, variance, 0.5 * (slope_x + slope_y)
         x += min(max(step_x, -s), s)
         y += min(max(step_y, -s), s)
         if abs(x - start_x) + abs(y - start_y) > 2.0 + 2.0 * s:
             break
-    return np.nan, np.nan, np.nan
+    return np.nan, np.nan, np.nan, np.nan
 
 
 @compiled
@@ -177,52 +194,129 @@ def _patch_of(image: ImageArray, x0: int, y0: int, size: int, background: float)
 
 
 @compiled
+def _unevenness(image: ImageArray, x: float, y: float, s: float, background: float) -> float:
+    """Variance of the first moment of the background alone: its median over eight places around a spot.
+
+    Noise that is alike over several pixels, as a texture's, moves a centroid by more than its variance says.
+    """
+    height, width = image.shape
+    r = ceil(3.0 * s)
+    away = ceil(4.0 * s) + 2
+    squares = np.empty(16)
+    n = 0
+    curvature = 1.0 / (s * s)
+    ex = np.empty(2 * r + 1)
+    for u in range(2 * r + 1):
+        ex[u] = exp(-0.5 * (u - r) * (u - r) * curvature)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            cx = int(x) + dx * away
+            cy = int(y) + dy * away
+            if (dx == 0 and dy == 0) or cx < r or cy < r or cx + r >= width or cy + r >= height:
+                continue
+            mx = my = 0.0
+            for v in range(2 * r + 1):
+                line = image[cy - r + v, cx - r : cx + r + 1]
+                light = first = 0.0
+                for u in range(2 * r + 1):
+                    w = ex[u] * (float(line[u]) - background)
+                    light += w
+                    first += w * (u - r)
+                mx += ex[v] * first
+                my += ex[v] * (v - r) * light
+            squares[n] = mx * mx
+            squares[n + 1] = my * my
+            n += 2
+    # The median of the square of a normal value is 0.455 of its variance.
+    return float(np.median(squares[:n])) / 0.455 if n > 0 else 0.0
+
+
+@compiled
 def _measure_one(
-    image: ImageArray, gain_e_per_dn: float, noise: FloatArray, table: FloatArray, i: int, s: float
+    image: ImageArray,
+    gain_e_per_dn: float,
+    full_scale: float,
+    noise: FloatArray,
+    is_uneven: NDArray[np.bool_],
+    place: FloatArray,
+    among: bool,
+    table: FloatArray,
+    i: int,
+    s: float,
 ) -> None:
-    """Settle one centroid from where the table has it, without the light of neighbours that are already measured."""
+    """Settle one centroid from its place; ``among`` others their light is taken away first, from where they are."""
     half = ceil(5.0 * s) + 5
-    x0 = int(table[i, CX]) - half
-    y0 = int(table[i, CY]) - half
+    x0 = int(place[i, 0]) - half
+    y0 = int(place[i, 1]) - half
     patch = _patch_of(image, x0, y0, 2 * half + 1, table[i, BACKGROUND])
-    moved = not np.isnan(table[i, SIGMA])
-    if moved:
+    near = 0.0
+    if among:
+        ex = np.empty(2 * half + 1)
+        ey = np.empty(2 * half + 1)
         for j in range(table.shape[0]):
-            if j == i or np.isnan(table[j, CX]):
+            if j == i or np.isnan(table[j, WIDTH]):
                 continue
             sigma = table[j, WIDTH] / WINDOW_RATIO
             height = table[j, PEAK] - table[j, BACKGROUND]
-            if abs(table[j, CX] - table[i, CX]) + abs(table[j, CY] - table[i, CY]) > 2.0 * half + 5.0 * sigma:
+            apart = sqrt((place[j, 0] - place[i, 0]) ** 2 + (place[j, 1] - place[i, 1]) ** 2)
+            if apart > 2.0 * half + 5.0 * sigma:
                 continue
-            for v in range(patch.shape[0]):
-                for u in range(patch.shape[1]):
-                    dx = x0 + u - table[j, CX]
-                    dy = y0 + v - table[j, CY]
-                    patch[v, u] -= height * exp(-0.5 * (dx * dx + dy * dy) / (sigma * sigma))
-    x, y, variance = _settle(patch, table[i, CX] - x0, table[i, CY] - y0, s, noise[i], gain_e_per_dn)
+            wider = max(sigma, table[i, WIDTH] / WINDOW_RATIO)
+            near += (_NEAR_SHARE * wider * exp(-_NEAR_RATE * (apart / wider - _NEAR_WIDTHS))) ** 2
+            reach = ceil(5.0 * sigma)
+            u0 = max(0, int(place[j, 0]) - x0 - reach)
+            u1 = min(patch.shape[1], int(place[j, 0]) - x0 + reach + 2)
+            v0 = max(0, int(place[j, 1]) - y0 - reach)
+            v1 = min(patch.shape[0], int(place[j, 1]) - y0 + reach + 2)
+            if u0 >= u1 or v0 >= v1:
+                continue
+            _bell(place[j, 0] - x0, u0, u1, 1.0 / (sigma * sigma), ex)
+            _bell(place[j, 1] - y0, v0, v1, 1.0 / (sigma * sigma), ey)
+            for v in range(v0, v1):
+                row = patch[v, u0:u1]
+                w = height * ey[v - v0]
+                for k in range(u1 - u0):
+                    row[k] -= w * ex[k]
+    clip = full_scale - table[i, BACKGROUND] - 0.5
+    x, y, variance, slope = _settle(patch, place[i, 0] - x0, place[i, 1] - y0, s, noise[i], gain_e_per_dn, clip)
+    x += x0
+    y += y0
     if table[i, CLIPPED] > 0.0:
         variance += CLIPPED_SIGMA_PX * CLIPPED_SIGMA_PX
-    if moved:
-        variance += 0.04 * ((x + x0 - table[i, CX]) ** 2 + (y + y0 - table[i, CY]) ** 2)
-    table[i, CX] = x + x0
-    table[i, CY] = y + y0
+    if is_uneven[i] and slope > 0.0:
+        variance += _unevenness(image, x, y, s, table[i, BACKGROUND]) / (slope * slope)
+    if among:
+        move = sqrt((x - place[i, 0]) ** 2 + (y - place[i, 1]) ** 2)
+        variance += near + 0.04 * move * move
+        if not move < 0.6 * table[i, WIDTH]:
+            # It ran off to its neighbour.
+            x = y = variance = np.nan
+    table[i, CX] = x
+    table[i, CY] = y
     table[i, SIGMA] = sqrt(variance)
 
 
 @compiled
 def measure_blobs(
-    image: ImageArray, boxes: FloatArray, gain_e_per_dn: float, full_scale: float, table: FloatArray
+    image: ImageArray,
+    boxes: FloatArray,
+    is_wanted: NDArray[np.bool_],
+    gain_e_per_dn: float,
+    full_scale: float,
+    table: FloatArray,
 ) -> None:
     """Centroid of each blob on raw pixels, weighted by intensity above local background and a Gaussian window.
 
     The window sits on the centroid it finds (a fixed point), so a symmetric spot has no bias from where it is cut off,
     and a constant background error has no influence. It is wider than the spot: better against shot noise, and the sum
     over pixels does not depend on where within a pixel the spot lies. Light of a near neighbour is taken away first, as
-    a Gaussian of the neighbour's height and width; a fifth of what that changes is added to the deviation.
+    a Gaussian of the neighbour's height and width; a fifth of what that changes is added to the deviation, and what is
+    left of a very near one. On an uneven background the deviation is what the background does around the spot.
 
     Args:
         image: Brightness, shape (H, W).
         boxes: Bounding boxes x0, y0, x1, y1, inclusive, shape (n, 4), raw px.
+        is_wanted: Which are worth a centroid; of the others only the peak and the clipped pixels are said, shape (n,).
         gain_e_per_dn: Electrons per DN.
         full_scale: Largest DN; pixels there are clipped.
         table: Output, shape (n, MEASURE_COLUMNS); NaN centroid when it did not settle.
@@ -232,6 +326,8 @@ def measure_blobs(
     height, width = image.shape
     n = boxes.shape[0]
     noise = np.empty(n)
+    place = np.empty((n, 2))
+    is_uneven = np.empty(n, dtype=np.bool_)
     for i in range(n):
         x0 = int(boxes[i, 0])
         y0 = int(boxes[i, 1])
@@ -245,8 +341,16 @@ def measure_blobs(
                 peak = max(peak, value)
                 if value >= full_scale:
                     clipped += 1
+        for column in range(MEASURE_COLUMNS):
+            table[i, column] = np.nan
+        table[i, PEAK] = peak
+        table[i, CLIPPED] = clipped
+        if not is_wanted[i]:
+            continue
         reach = ceil(0.75 * max(x1 - x0 + 1, y1 - y0 + 1)) + 2
-        background, variance = _ring_background(image, x0 - reach, y0 - reach, x1 + reach, y1 + reach, peak)
+        background, variance, is_uneven[i] = _ring_background(
+            image, x0 - reach, y0 - reach, x1 + reach, y1 + reach, peak
+        )
         # Quantisation alone leaves 1/12 when the background is too quiet to show it.
         noise[i] = max(variance, 1.0 / 12.0)
         middle = background + 0.5 * (peak - background)
@@ -262,27 +366,42 @@ def measure_blobs(
                     total += value - background
                     cx += x * (value - background)
                     cy += y * (value - background)
-        for column in range(MEASURE_COLUMNS):
-            table[i, column] = np.nan
-        table[i, PEAK] = peak
         table[i, BACKGROUND] = background
-        table[i, CLIPPED] = clipped
         if total <= 0.0:
             continue
         # Area above half height of a Gaussian is 2 pi s^2 ln 2.
         s = max(WINDOW_RATIO * sqrt(half_area / 4.355172180607204), 1.1)
         table[i, WIDTH] = s
-        table[i, CX] = cx / total
-        table[i, CY] = cy / total
-        _measure_one(image, gain_e_per_dn, noise, table, i, s)
+        place[i, 0] = cx / total
+        place[i, 1] = cy / total
     for i in range(n):
-        if np.isnan(table[i, CX]):
+        if np.isnan(table[i, WIDTH]):
             continue
-        nearest = np.inf
-        for j in range(n):
-            if j != i and not np.isnan(table[j, CX]):
-                d = sqrt((table[i, CX] - table[j, CX]) ** 2 + (table[i, CY] - table[j, CY]) ** 2)
-                if d < 4.0 * (table[i, WIDTH] + table[j, WIDTH]):
-                    nearest = min(nearest, d)
-        if nearest < np.inf:
-            _measure_one(image, gain_e_per_dn, noise, table, i, min(table[i, WIDTH], max(1.1, 0.25 * nearest)))
+        nearest = _nearest(place, table, i)
+        if nearest == np.inf:
+            _measure_one(image, gain_e_per_dn, full_scale, noise, is_uneven, place, False, table, i, table[i, WIDTH])
+    # The lights among others are gone through twice, each time from where the last one put their neighbours.
+    for _ in range(2):
+        for i in range(n):
+            if np.isnan(table[i, WIDTH]):
+                continue
+            nearest = _nearest(place, table, i)
+            if nearest < np.inf:
+                s = min(table[i, WIDTH], max(1.1, 0.25 * nearest))
+                _measure_one(image, gain_e_per_dn, full_scale, noise, is_uneven, place, True, table, i, s)
+        for i in range(n):
+            if np.isfinite(table[i, SIGMA]):
+                place[i, 0] = table[i, CX]
+                place[i, 1] = table[i, CY]
+
+
+@compiled
+def _nearest(place: FloatArray, table: FloatArray, i: int) -> float:
+    """Distance of the nearest spot whose light may reach into the window of another, px; infinite without one."""
+    nearest = np.inf
+    for j in range(place.shape[0]):
+        if j != i and not np.isnan(table[j, WIDTH]):
+            d = sqrt((place[i, 0] - place[j, 0]) ** 2 + (place[i, 1] - place[j, 1]) ** 2)
+            if d < 4.0 * (table[i, WIDTH] + table[j, WIDTH]):
+                nearest = min(nearest, d)
+    return nearest

@@ -98,6 +98,7 @@ def find_leds(
     """
     height, width = image.shape
     n = leds.shape[0]
+    most_px = int(2.0 * max_area)
     boxes = np.empty((n, 4))
     windows = np.empty((n, 4))
     components = np.empty((8, COMPONENT_COLUMNS))
@@ -137,7 +138,7 @@ def find_leds(
         y1 = round(v) + side + 1
         if x0 < 1 or y0 < 1 or x1 > width - 1 or y1 > height - 1:
             return OUT_OF_VIEW, count
-        found = find_components_in(image, x0, y0, x1, y1, half, threshold_k, threshold_floor, components)
+        found = find_components_in(image, x0, y0, x1, y1, half, threshold_k, threshold_floor, most_px, components)
         if found < 0:
             return NOT_ALONE, count
         chosen = -1
@@ -164,7 +165,7 @@ def find_leds(
     if count < 4:
         return OUT_OF_VIEW, count
     table = np.empty((count, MEASURE_COLUMNS))
-    measure_blobs(image, boxes[:count], gain_e_per_dn, full_scale, table)
+    measure_blobs(image, boxes[:count], np.ones(count, dtype=np.bool_), gain_e_per_dn, full_scale, table)
     for i in range(count):
         x = table[i, CX]
         y = table[i, CY]
@@ -186,7 +187,7 @@ def find_leds(
             y0 = max(0, int(y - room))
             x1 = min(width, int(x + room) + 2)
             y1 = min(height, int(y + room) + 2)
-            found = find_components_in(image, x0, y0, x1, y1, half, threshold_k, threshold_floor, components)
+            found = find_components_in(image, x0, y0, x1, y1, half, threshold_k, threshold_floor, most_px, components)
             if found != 1:
                 return NOT_ALONE, count
         centroid[i, 0] = x

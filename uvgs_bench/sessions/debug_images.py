@@ -226,14 +226,14 @@ def _draw_bright_places(pen: _Pen, raw: NDArray[np.uint8] | NDArray[np.uint16], 
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(pen.canvas, contours, -1, BLUE, 1)
         return
-    from uvgs_bench.sensor import detection_kernels as dk
+    from uvgs_bench.sensor import peak_kernels as pk
 
-    maxima = dk.tile_maxima(raw)
+    maxima = pk.tile_maxima(raw)
     background = float(np.median(raw[4::17, 4::19])) if raw.size > 4096 else float(np.median(raw))
     level = background + config.threshold_floor * (float(maxima.max()) - background)
     for row, column in np.argwhere(maxima > level):
-        corner = np.array([column, row], dtype=np.float64) * dk.TILE_PX
-        pen.box(np.concatenate([corner, corner + dk.TILE_PX - 1]), 0.4, (90, 70, 40))
+        corner = np.array([column, row], dtype=np.float64) * pk.TILE_PX
+        pen.box(np.concatenate([corner, corner + pk.TILE_PX - 1]), 0.4, (90, 70, 40))
 
 
 def _draw_blobs(pen: _Pen, blobs: Blobs, notes: tuple[BlobNote, ...], outcome: Outcome) -> None:
