@@ -211,3 +211,21 @@ def test_cores_that_clip_from_the_beginning_are_said_once(tmp_path):
         exposure = ExposureLoop(source, known, ExposurePolicy()) if loop else None
         list(solve_source(source, known, said.append, exposure=exposure))
         assert [e.text for e in said if isinstance(e, Remark) and e.level == "warning"] == expected
+
+
+def test_lamps_far_brighter_than_the_leds_do_not_keep_the_exposure_too_short(tmp_path, capfd):
+    # Twenty times as bright: with the lamps in the band the LEDs are lost in the noise.
+    lamps = LAMPS.replace("220.0", "4000.0")
+    bench = write_bench(tmp_path, exposure_ms=0.2, peak_dn_at_1m=220.0, more=lamps)
+    out = tmp_path / "p.jsonl"
+    assert uvgs(f"sim:{bench}?count=40", *setup(tmp_path), "--out", out, "--auto-exposure") == 0
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    searched = [line for line in lines if line.get("exposure_reason", "").startswith("searching")]
+    assert searched
+    # The search ends with the first pose, and LEDs govern from then on, also where one passes before a lamp.
+    first = next(i for i, line in enumerate(lines) if line["status"] == "ok")
+    assert first == searched[-1]["index"] + 1
+    assert all(0.003 < line["exposure_s"] < 0.008 for line in lines[first + 2 :])
+    assert any(line["status"] == "miss" for line in lines[first:])
+    assert sum(line["status"] == "ok" for line in lines[first:]) >= 12
+    capfd.readouterr()

@@ -135,7 +135,8 @@ class ExposureAdvice:
 
     Args:
         exposure_s: Exposure of the next capture, s.
-        reason: ``in_band``, ``too_dim``, ``too_bright``, ``clipped``, ``nothing_seen``, ``settling``, ``at_limit``.
+        reason: ``in_band``, ``too_dim``, ``too_bright``, ``clipped``, ``nothing_seen``, ``settling``, ``at_limit``,
+            ``searching`` (of a loop that found no pose for long).
         detail: One line with the numbers.
         state: Hand this to the next call.
     """

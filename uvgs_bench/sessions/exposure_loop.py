@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import inf
+from math import ceil, inf, log
 
 import numpy as np
 
@@ -27,6 +27,12 @@ from uvgs_bench.units import ms_from_s, s_from_ns
 
 # An older pose says nothing about how fast the beacon comes nearer now.
 _FRESH_S = 0.5
+# Without a pose a brighter lamp may govern: after so many captures other exposures are tried, each for so many.
+_PATIENCE, _EACH = 10, 3
+# LEDs are found over more than this factor of exposure.
+_LADDER = 3.0
+# LEDs of one beacon differ by less than this factor; what is brighter is another light.
+_OUTSHONE = 3.0
 
 
 class ExposureLoop:
@@ -57,6 +63,9 @@ class ExposureLoop:
         self._sensors = dict(sensors)
         self._state = ExposureState(camera.set_exposure_s(camera.exposure_s), settling)
         self._before: dict[str, PoseEstimate] = {}
+        self._missed = 0
+        self._last_good_s = self._state.exposure_s
+        self._has_seen = False
         self._last_t_ns: int | None = None
 
     def after(self, capture: Capture, outcomes: Mapping[str, Outcome]) -> ExposureAdvice | None:
@@ -72,21 +81,22 @@ class ExposureLoop:
         Raises:
             CaptureError: The camera refuses.
         """
-        # Levels are said by the depth the picture shows; the camera knows its own.
-        share = min(full_scale_dn(capture.image) / self._camera.full_scale_dn, 1.0)
-        levels = [_scaled(level, share) for level in self._levels(capture, outcomes)]
-        peak = 0.0 if levels else float(capture.image.max()) / self._camera.full_scale_dn
-        advice = advise_exposure(
-            levels,
-            self._state,
-            self.policy,
-            taken_s=capture.exposure_s,
-            picture_peak=peak,
-            forecast=self._forecast(capture, outcomes),
-        )
+        has_pose = any(isinstance(outcome, PoseEstimate) for outcome in outcomes.values())
+        self._missed = 0 if has_pose else self._missed + 1
+        if has_pose:
+            self._has_seen = True
+            self._last_good_s = self._state.exposure_s if capture.exposure_s is None else capture.exposure_s
+        old_s = self._state.exposure_s
+        if self._missed >= _PATIENCE:
+            advice = self._searched()
+        elif self._missed and self._has_seen:
+            # A moment ago this exposure was right: a hidden LED is no reason to let lamps govern.
+            waiting = max(self._state.waiting - 1, 0)
+            advice = ExposureAdvice(old_s, "nothing_seen", "no pose", ExposureState(old_s, waiting))
+        else:
+            advice = self._advised(capture, outcomes)
         self._last_t_ns = capture.t_ns
         self._before = {name: o for name, o in outcomes.items() if isinstance(o, PoseEstimate)}
-        old_s = self._state.exposure_s
         self._state = advice.state
         if advice.exposure_s == old_s:
             return None
@@ -95,11 +105,39 @@ class ExposureLoop:
         self._state = ExposureState(taken_s, 0 if taken_s == old_s else advice.state.waiting)
         return None if taken_s == old_s else replace(advice, exposure_s=taken_s, state=self._state)
 
+    def _advised(self, capture: Capture, outcomes: Mapping[str, Outcome]) -> ExposureAdvice:
+        # Levels are said by the depth the picture shows; the camera knows its own.
+        share = min(full_scale_dn(capture.image) / self._camera.full_scale_dn, 1.0)
+        levels = [_scaled(level, share) for level in self._levels(capture, outcomes)]
+        peak = 0.0 if levels else float(capture.image.max()) / self._camera.full_scale_dn
+        return advise_exposure(
+            levels,
+            self._state,
+            self.policy,
+            taken_s=capture.exposure_s,
+            picture_peak=peak,
+            forecast=self._forecast(capture, outcomes),
+        )
+
+    def _searched(self) -> ExposureAdvice:
+        """From the last exposure that gave a pose outwards, longer and shorter in turn, over and over."""
+        each = _EACH + self.policy.settling
+        step, within = divmod(self._missed - _PATIENCE, each)
+        if within:
+            return ExposureAdvice(self._state.exposure_s, "searching", "waiting for a pose", self._state)
+        shortest_s, longest_s, base_s = self.policy.shortest_s, self.policy.longest_s, self._last_good_s
+        reach = ceil(log(longest_s / shortest_s, _LADDER)) + 1
+        powers = [0, *(sign * k for k in range(1, reach) for sign in (1, -1))]
+        rungs = [base_s * _LADDER**k for k in powers if shortest_s <= base_s * _LADDER**k <= longest_s]
+        exposure_s = rungs[step % len(rungs)] if rungs else longest_s
+        detail = f"no pose in {self._missed} captures"
+        return ExposureAdvice(exposure_s, "searching", detail, ExposureState(exposure_s, self.policy.settling))
+
     def _levels(self, capture: Capture, outcomes: Mapping[str, Outcome]) -> list[LightLevel]:
         """Of all LEDs of all poses, the brightest first; without a pose, of the blobs, the governing one first."""
         poses = [outcome for outcome in outcomes.values() if isinstance(outcome, PoseEstimate)]
         if poses:
-            levels = [level for pose in poses for level in led_levels(capture, pose, None, len(pose.led_px))]
+            levels = [level for pose in poses for level in _own_levels(capture, pose)]
             return sorted(levels, key=lambda level: -level.height)
         # Which beacon is in the picture is not known; with the fewest LEDs none of it is taken for another light.
         name, uvgs = min(self._sensors.items(), key=lambda item: len(item[1].beacon.leds))
@@ -122,6 +160,13 @@ class ExposureLoop:
         closing_mps = (_range_m(before) - range_m) / passed_s
         waiting = 0 if capture.exposure_s is not None else self.policy.settling
         return RangeForecast(range_m, closing_mps, passed_s * (1 + waiting))
+
+
+def _own_levels(capture: Capture, pose: PoseEstimate) -> list[LightLevel]:
+    """Levels of the LEDs of a pose without those that a lamp beside them outshines."""
+    levels = led_levels(capture, pose, None, len(pose.led_px))
+    usual = sorted(level.height for level in levels)[(len(levels) - 1) // 2]
+    return [level for level in levels if level.height <= _OUTSHONE * usual]
 
 
 def _scaled(level: LightLevel, share: float) -> LightLevel:
