@@ -148,7 +148,7 @@ def _options(
     if not counts or min(counts) < 2:
         raise ConfigError(f"expected numbers of 2 or more like 4x4x3, got {grid!r}", key="--grid")
     return Options(
-        tests=tuple(test for test in TESTS if test in named),
+        tests=tuple(test for test in TESTS if test in named or (test == "still" and not is_dial)),
         axis=axis.upper(),
         targets=targets,
         runs=runs,

@@ -22,7 +22,7 @@ from uvgs_bench.units import m_from_mm, ns_from_s, s_from_ns
 Test = Literal["still", "positioning", "reversal", "drift", "homing", "squareness"]
 TESTS: tuple[Test, ...] = get_args(Test)
 DIAL_TESTS: tuple[Test, ...] = ("positioning", "reversal", "homing")
-"""What can be read off a dial gauge, one axis at a time."""
+"""What can be read off a dial gauge, one axis at a time. A camera needs ``still`` for all the others."""
 
 # Uneven places on the unit interval, so that errors that repeat along a screw show.
 _UNEVEN = 0.382
@@ -224,7 +224,10 @@ class _Planner:
     def visits(self, test: Test, tested: list[int]) -> list[Visit]:
         if test == "still":
             still = self._visit("still", -1, self._middle, -1.0)
-            return [still, *(Visit("still", -1, self._middle, (self._middle,), run=k) for k in range(1, 10))]
+            again = [Visit("still", -1, self._middle, (self._middle,), run=k) for k in range(1, 10)]
+            # From end to end of every axis, so that a camera knows which way each goes.
+            ends = [self._along(i, end[i]) for i in self._linear for end in (self._low, self._high)]
+            return [still, *again, *(self._visit("still", -1, place, -1.0, target=1) for place in ends)]
         if test == "drift":
             # Where an axis is tested, the visits between do.
             count = 0 if {"positioning", "reversal"} & set(self._options.tests) else 2 * self._options.runs

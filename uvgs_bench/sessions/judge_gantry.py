@@ -127,7 +127,7 @@ def _judged_axis(
         ]
 
     values = along[:, column]
-    still = of("still", True)
+    still = [k for k in of("still", True) if readings[k].visit.target == 0]
     if len(still) > 1:
         record = replace(record, instrument_mm=mm_from_m(scatter_of(values[still]).sigma_m))
     at = of("positioning", False)
