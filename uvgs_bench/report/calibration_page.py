@@ -100,7 +100,7 @@ def _key_figures(evidence: CalibrationEvidence) -> tuple[KeyFigure, ...]:
     calibration, result = evidence.calibration, evidence.result
     figures = []
     if calibration.verdict is not None and calibration.verdict.is_usable:
-        note = "" if result is None else f"of {result.coverage.picture_radius_px:.0f} px to the farthest corner"
+        note = "" if result is None else f"of {result.coverage.picture_radius_px:.0f} px that the picture reaches"
         figures.append(KeyFigure("Usable radius", Number(calibration.verdict.radius_px, 0, "px"), note=note))
     if calibration.sigmas is not None:
         factor = evidence.too_small

@@ -31,7 +31,7 @@ def _figures(result: CalibrationResult) -> Table:
     empty = int((covered.counts == 0).sum())
     rows = (
         ("Covered radius", Number(covered.radius_px, 0, "px")),
-        ("Farthest corner of the picture", Number(covered.picture_radius_px, 0, "px")),
+        ("Farthest the picture reaches", Number(covered.picture_radius_px, 0, "px")),
         (f"Cells without a corner, of {covered.counts.size}", Number(empty, 0)),
         ("Tilt, smallest", Number(float(tilts.min()), 1, "deg")),
         ("Tilt, largest", Number(float(tilts.max()), 1, "deg")),
