@@ -171,9 +171,7 @@ def _half(
     return fitted.lens, doubt.covariance
 
 
-def _compare(
-    a: tuple[Lens, FloatArray], b: tuple[Lens, FloatArray], grid: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _compare(a: tuple[Lens, FloatArray], b: tuple[Lens, FloatArray], grid: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Squared difference of two lenses at each pixel after the rotation that fits them best, and its expectation."""
     at_grid = (np.full(len(grid), np.nan), np.full(len(grid), np.nan))
     rays = a[0].unproject(grid)

@@ -15,6 +15,7 @@ from uvgs_bench.camera.bundle import SHAPE_NAMES, Bundle, Corners, adjust
 from uvgs_bench.camera.bundle_start import grown, is_at_rest, is_convincing, start
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.cross_validation import MIN_VIEWS, HeldOut, SplitHalf, held_out, split_half
+from uvgs_bench.camera.image_circle import ImageCircle
 from uvgs_bench.camera.lens import LENSES
 from uvgs_bench.camera.lens_covariance import Doubt, doubt_of, prior_of
 from uvgs_bench.camera.residual_structure import Coverage, ResidualStructure, coverage, residual_structure
@@ -201,6 +202,7 @@ def calibrate(
     reject_outliers: bool = True,
     is_board_free: bool = False,
     notes: dict[str, str] | None = None,
+    circle: ImageCircle | None = None,
 ) -> CalibrationResult:
     """Fit a lens to board views and doubt it: held-out error, halves against each other, structure, coverage, verdict.
 
@@ -211,6 +213,7 @@ def calibrate(
         reject_outliers: As in ``fit``.
         is_board_free: As in ``fit``.
         notes: Provenance to keep with the calibration.
+        circle: Where the lens draws its picture, when that does not fill the sensor; coverage is judged by it.
 
     Returns:
         The calibration with residuals, outliers, verdict and warnings.
@@ -224,7 +227,7 @@ def calibrate(
     fitted = fit(views, model, reject_outliers=reject_outliers, is_board_free=is_board_free)
     bundle, corners, kept = fitted.bundle, fitted.corners, fitted.kept
     unseen = held_out(bundle, kept, fitted.prior)
-    covered = coverage(bundle, kept)
+    covered = coverage(bundle, kept, circle)
     calibration = _calibration(fitted, unseen, camera_name, dict(notes or {}))
     everything = calibration
     if not fitted.keep.all():

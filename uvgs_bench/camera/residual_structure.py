@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.camera.bundle import Bundle, Corners
+from uvgs_bench.camera.image_circle import ImageCircle
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, read_only
 
@@ -54,9 +55,11 @@ class Coverage:
     Args:
         counts: Corners in each cell of the picture, shape (rows, columns).
         radius_px: Distance from the principal point up to which the picture is covered, px.
-        picture_radius_px: Distance of the picture's farthest corner from the principal point, px.
+        picture_radius_px: Distance of the picture's farthest corner, or of the farthest edge of its image circle, from
+            the principal point, px.
         tilts_rad: Angle between each board and the plane of the picture, shape (V,), rad.
         distances_m: Distance of each board's middle, shape (V,), m.
+        is_lit: Whether the middle of each cell lies in the image circle, shape (rows, columns); all without a circle.
     """
 
     counts: NDArray[np.intp]
@@ -64,6 +67,7 @@ class Coverage:
     picture_radius_px: float
     tilts_rad: FloatArray
     distances_m: FloatArray
+    is_lit: NDArray[np.bool_]
 
 
 def residual_structure(bundle: Bundle, corners: Corners) -> ResidualStructure:
@@ -116,12 +120,13 @@ def _neighbour_correlation(e: FloatArray, corners: Corners) -> float:
     return product / scale if scale > 0.0 else 0.0
 
 
-def coverage(bundle: Bundle, corners: Corners) -> Coverage:
+def coverage(bundle: Bundle, corners: Corners, circle: ImageCircle | None = None) -> Coverage:
     """Say where in the picture, how tilted and how far the boards were.
 
     Args:
         bundle: The fit.
         corners: The kept corners.
+        circle: Where the lens draws its picture; None when it fills the sensor.
 
     Returns:
         The coverage.
@@ -133,12 +138,19 @@ def coverage(bundle: Bundle, corners: Corners) -> Coverage:
     np.add.at(counts, (row, column), 1)
     sizes = corners.per_view(np.ones(len(corners.px)))
     middle = corners.per_view(bundle.points_in_camera(corners)) / sizes[:, None]
+    is_lit = np.ones(counts.size, dtype=np.bool_)
+    whole_px = picture_radius_px(lens)
+    if circle is not None:
+        is_lit = circle.contains(cell_centres_px(lens))
+        off_px = float(np.hypot(circle.u_px - lens.cx_px, circle.v_px - lens.cy_px))
+        whole_px = min(whole_px, off_px + circle.radius_px)
     return Coverage(
         counts,
-        _covered_radius(lens, counts, corners),
-        picture_radius_px(lens),
+        _covered_radius(lens, counts, corners, is_lit),
+        whole_px,
         read_only(np.arccos(np.clip(np.abs(bundle.R_cb[:, 2, 2]), 0.0, 1.0))),
         read_only(np.linalg.norm(middle, axis=1)),
+        is_lit.reshape(counts.shape),
     )
 
 
@@ -157,10 +169,11 @@ def cell_centres_px(lens: Lens) -> FloatArray:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-def _covered_radius(lens: Lens, counts: NDArray[np.intp], corners: Corners) -> float:
+def _covered_radius(lens: Lens, counts: NDArray[np.intp], corners: Corners, is_lit: NDArray[np.bool_]) -> float:
     """Largest radius within which enough cells hold a corner, but not beyond the outermost corner."""
     radius = np.linalg.norm(cell_centres_px(lens) - lens.parameters[2:4], axis=1)
     order = np.argsort(radius, kind="stable")
+    order = order[is_lit[order]]
     share = np.cumsum(counts.ravel()[order] > 0) / np.arange(1, len(order) + 1)
     enough = np.flatnonzero(share >= _COVERED_SHARE)
     seen = float(np.linalg.norm(corners.px - lens.parameters[2:4], axis=1).max())

@@ -97,13 +97,14 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
     radius_px = min(good_px, covered_px)
     refused = _refusals(result)
     wishes = next_pictures(lens, result.coverage, result.calibration.view_count)
+    edge = "corner" if result.coverage.is_lit.all() else "image circle's edge"
     if radius_px < LEAST_SHARE * whole_px:
         what = (
             f"the error stays below {LIMIT_PX} px only within {good_px:.0f} px of the principal point"
             if good_px <= covered_px
             else f"boards covered the picture only within {covered_px:.0f} px of the principal point"
         )
-        refused.append(f"{what}, less than {100 * LEAST_SHARE:.0f} % of the {whole_px:.0f} px to its corner")
+        refused.append(f"{what}, less than {100 * LEAST_SHARE:.0f} % of the {whole_px:.0f} px to its {edge}")
     if result.split_half is None:
         few = f"{result.calibration.view_count} views are too few to hold one half against the other"
         return Verdict("inconclusive", 0.0, (few, *refused, *_remarks(result)), wishes)
@@ -243,7 +244,7 @@ def next_pictures(lens: Lens, covered: Coverage, view_count: int) -> tuple[str, 
         wish = _WISHED_TILTED - tilted
         said.append(f"{wish} more with the board tilted by 30 to 45 deg, each about another axis")
     if covered.radius_px < WHOLE_SHARE * covered.picture_radius_px:
-        empty = covered.counts.ravel() == 0
+        empty = (covered.counts.ravel() == 0) & covered.is_lit.ravel()
         if empty.any():
             place = cell_centres_px(lens)[empty] / [lens.width_px, lens.height_px]
             words = [_place(u, v) for u, v in place]

@@ -105,6 +105,7 @@ def calibrate_from_source(
         reject_outliers=reject_outliers,
         is_board_free=is_board_free,
         notes=notes,
+        circle=found.circle,
     )
     for text in result.warnings:
         sink(Remark("warning", text))

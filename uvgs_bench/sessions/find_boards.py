@@ -9,11 +9,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice
 
+import numpy as np
+
 from uvgs_bench.camera import Board, BoardView, find_board
 from uvgs_bench.camera.boards import BoardMiss, symmetry
+from uvgs_bench.camera.image_circle import ImageCircle, find_image_circle
 from uvgs_bench.devices.cameras.source import CameraSource
 from uvgs_bench.errors import CaptureError, ConfigError
-from uvgs_bench.sensor.capture import Capture
+from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
 from uvgs_bench.store.detections import detection_key, read_detection, write_detection
 
@@ -28,11 +31,13 @@ class FoundBoards:
         views: Pictures with a usable board, in order.
         misses: The others, and why.
         pictures_sha256: Hash of all pictures in order.
+        circle: Where the lens draws its picture; None when it fills the sensor, or nobody looked.
     """
 
     views: tuple[BoardView, ...]
     misses: tuple[BoardMiss, ...]
     pictures_sha256: str
+    circle: ImageCircle | None = None
 
 
 def find_boards(
@@ -64,6 +69,7 @@ def find_boards(
     views: list[BoardView] = []
     misses: list[BoardMiss] = []
     digest = hashlib.sha256()
+    brightest: ImageArray | None = None
 
     def collect(answer: Future[BoardView | BoardMiss]) -> None:
         found = answer.result()
@@ -82,6 +88,7 @@ def find_boards(
         waiting: deque[Future[BoardView | BoardMiss]] = deque()
         for capture in islice(source, limit):
             digest.update(capture.image.tobytes())
+            brightest = _brighter(brightest, capture.image)
             waiting.append(pool.submit(_find, capture, board))
             if len(waiting) >= 2 * workers:
                 collect(waiting.popleft())
@@ -90,7 +97,16 @@ def find_boards(
     if not views and not misses:
         raise CaptureError("gives no pictures", source.spec)
     sink(StageFinished(_STAGE, f"{len(views)} of {len(views) + len(misses)} pictures usable"))
-    return FoundBoards(tuple(views), tuple(misses), digest.hexdigest())
+    circle = None if brightest is None else find_image_circle(brightest)
+    return FoundBoards(tuple(views), tuple(misses), digest.hexdigest(), circle)
+
+
+def _brighter(so_far: ImageArray | None, image: ImageArray) -> ImageArray:
+    """The brightest value of each pixel; a picture of another size, which others complain about, is passed over."""
+    grey = image if image.ndim == 2 else np.asarray(image.max(axis=2))
+    if so_far is None:
+        return grey.copy()
+    return np.maximum(so_far, grey) if so_far.shape == grey.shape and so_far.dtype == grey.dtype else so_far
 
 
 def _find(capture: Capture, board: Board) -> BoardView | BoardMiss:
