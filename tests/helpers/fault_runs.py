@@ -130,6 +130,12 @@ def fault_run(seed: int, folder: Path, kinds: tuple[str, ...] = KINDS, strength:
     except UvgsError as error:
         return FaultRun("refused", str(error), 0)
     device = (UvgsDevice if rng.random() < 0.25 else GrblDevice).for_axes(AXES, boot_s=0.05)
+    # Reports with and without the machine position, other speeds, accelerations and homing.
+    device.settings[10] = float(rng.choice([0, 1, 2, 3, 3, 3]))
+    device.settings[27] = float(rng.choice([1.0, 2.0]))
+    for i in range(3):
+        device.settings[110 + i] = float(rng.uniform(1000.0, 3000.0))
+        device.settings[120 + i] = float(rng.uniform(50.0, 400.0))
     path = folder / f"run-{seed}"
     manifest = RunManifest(
         id=path.name, created_utc="2026-01-01T00:00:00.000Z", procedure_name="faulty", mount="beacon_on_carriage",

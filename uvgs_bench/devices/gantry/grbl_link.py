@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.grbl_codes import BAD_CHECKSUM, Dialect, find_dialect
@@ -17,8 +19,8 @@ _REPORT_S = 1.0
 _QUIET_S = 0.2
 # A line whose reply takes longer is not repeated: homing, or a wait for the end of a move.
 _REPEAT_BELOW_S = 5.0
-# The offset is in every 30th report at least.
-_REPORTS_TO_OFFSET = 40
+# The offset is in every 30th report at least, and is heard twice.
+_REPORTS_TO_OFFSET = 80
 
 
 class GrblLink:
@@ -43,6 +45,7 @@ class GrblLink:
         self._reports_due = 0
         self._number = 1
         self._offset: FloatArray | None = None
+        self._offset_heard: FloatArray | None = None
 
     @property
     def port(self) -> str:
@@ -208,7 +211,8 @@ class GrblLink:
 
     def _begin_epoch(self) -> None:
         self.epoch += 1
-        self.line_under_way, self._reports_due, self._offset, self._number = "", 0, None, 1
+        self.line_under_way, self._reports_due, self._number = "", 0, 1
+        self._offset = self._offset_heard = None
 
     def _receive(self, deadline_ns: int) -> protocol.Received | None:
         line = self.wire.read_line(deadline_ns)
@@ -227,8 +231,14 @@ class GrblLink:
         elif isinstance(item, protocol.Report):
             self._reports_due = max(0, self._reports_due - 1)
             if item.offset is not None:
-                self._offset = item.offset
+                self._hear_offset(item.offset)
         return item
+
+    def _hear_offset(self, offset: FloatArray) -> None:
+        """Believe an offset that is told twice alike: it is told seldom, and a damaged one would shift everything."""
+        if self._offset_heard is not None and np.array_equal(self._offset_heard, offset):
+            self._offset = offset
+        self._offset_heard = offset
 
     def _raise_alarm(self, code: int) -> None:
         self.wire.remark(f"alarm {code}: reset, and everything until the welcome is discarded")

@@ -93,6 +93,11 @@ def settings_warnings(settings: Mapping[str, str], axes: Sequence[Axis]) -> tupl
     if values.get(32):
         warnings.append("laser mode is on ($32=1): lights go out at a hold")
     for i, axis in enumerate(axes):
+        allowed = mm_from_m(axis.acceleration) if axis.kind == "linear" else deg_from_rad(axis.acceleration)
+        if values.get(120 + i, 0.0) > allowed * 1.001:
+            warnings.append(
+                f"axis {axis.name} accelerates with ${120 + i}={values[120 + i]:g}, the bench file allows {allowed:g}"
+            )
         if values.get(130 + i) == 0.0 and axis.kind == "linear":
             warnings.append(f"axis {axis.name} has no travel (${130 + i}=0), so no soft limit")
     return tuple(warnings)
