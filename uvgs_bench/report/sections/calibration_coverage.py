@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uvgs_bench.camera.fitting import CalibrationResult
+from uvgs_bench.camera.residual_structure import Coverage
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence, kept_masks
 from uvgs_bench.report.cells import Number
 from uvgs_bench.report.document import Column, Figure, Section, Table
@@ -25,14 +27,20 @@ def build(evidence: CalibrationEvidence) -> Section | None:
     return Section("coverage", "Coverage", blocks)
 
 
+def _is_empty(covered: Coverage) -> NDArray[np.bool_]:
+    """Cells that light reaches and no corner was seen in, shape (rows, columns)."""
+    result: NDArray[np.bool_] = (covered.counts == 0) & covered.is_lit
+    return result
+
+
 def _figures(result: CalibrationResult) -> Table:
     covered = result.coverage
     tilts, distances = deg_from_rad(covered.tilts_rad), covered.distances_m
-    empty = int((covered.counts == 0).sum())
+    empty = int(_is_empty(covered).sum())
     rows = (
         ("Covered radius", Number(covered.radius_px, 0, "px")),
         ("Farthest the picture reaches", Number(covered.picture_radius_px, 0, "px")),
-        (f"Cells without a corner, of {covered.counts.size}", Number(empty, 0)),
+        (f"Cells without a corner, of {int(covered.is_lit.sum())}", Number(empty, 0)),
         ("Tilt, smallest", Number(float(tilts.min()), 1, "deg")),
         ("Tilt, largest", Number(float(tilts.max()), 1, "deg")),
         ("Boards tilted by more than 30 deg", Number(int((tilts > 30.0).sum()), 0)),
@@ -46,17 +54,17 @@ def _corners(result: CalibrationResult) -> Figure:
     lens, covered = result.calibration.lens, result.coverage
     px = np.concatenate([view.px[mask] for view, mask in zip(result.views, kept_masks(result), strict=True)])
     rows, columns = covered.counts.shape
-    empty = int((covered.counts == 0).sum())
+    empty = int(_is_empty(covered).sum())
     key = "coverage-picture"
     alt = (
         f"{len(px)} corners of {len(result.views)} boards over the picture of {lens.width_px} by {lens.height_px} px; "
-        f"{empty} of {covered.counts.size} cells hold none; covered to {covered.radius_px:.0f} of "
+        f"{empty} of {int(covered.is_lit.sum())} cells hold none; covered to {covered.radius_px:.0f} of "
         f"{covered.picture_radius_px:.0f} px from the principal point."
     )
     with style(key):
         figure, axes = picture_canvas(lens.width_px, lens.height_px)
         width, height = lens.width_px / columns, lens.height_px / rows
-        for row, column in np.argwhere(covered.counts == 0):
+        for row, column in np.argwhere(_is_empty(covered)):
             left, top = column * width - 0.5, row * height - 0.5
             axes.fill_between([left, left + width], top, top + height, color=FAINT, alpha=0.22, lw=0.0)
         shown = thinned(len(px))
