@@ -145,14 +145,23 @@ uint64_t Desk::next_lockstep(uint64_t now_us, Table& table) {
 }
 
 uint64_t Desk::next_terminal(uint64_t now_us, Table& table) {
-  uint64_t due_us = begun_wall_us_ + static_cast<uint64_t>(static_cast<double>(now_us - begun_us_) / scale_);
   uint64_t wall = wall_us();
+  uint64_t due_us = begun_wall_us_ + static_cast<uint64_t>(static_cast<double>(now_us - begun_us_) / scale_);
   if (wall > due_us + 100000) {
     // The machine is busier than the board: board time runs slower, it does not jump.
     begun_wall_us_ = wall;
     begun_us_ = now_us;
   }
-  int patience_ms = wall + 1000 < due_us ? static_cast<int>((due_us - wall) / 1000) : 0;
+  do {
+    wall = wall_us();
+    int patience_ms = wall + 1000 < due_us ? static_cast<int>((due_us - wall) / 1000) : 0;
+    serve_terminal(patience_ms, now_us, table);
+  } while (wall_us() + 1000 < due_us);
+  uint64_t step = scale_ > 1.0 ? static_cast<uint64_t>(static_cast<double>(QUANTUM_US) * scale_) : QUANTUM_US;
+  return now_us + step;
+}
+
+void Desk::serve_terminal(int patience_ms, uint64_t now_us, Table& table) {
   pollfd ends[2] = {{master_, POLLIN, 0}, {0, POLLIN, 0}};
   poll(ends, 2, patience_ms);
   if (ends[1].revents & (POLLIN | POLLHUP)) {
@@ -167,6 +176,19 @@ uint64_t Desk::next_terminal(uint64_t now_us, Table& table) {
     }
   }
   bool is_open = !(ends[0].revents & POLLHUP);
+  if (is_open && !was_open_) {
+    was_open_ = true;
+    to_host_.clear();
+    usleep(static_cast<useconds_t>(static_cast<double>(BOOT_LOADER_US) / scale_));
+    uint8_t lost[256];
+    while (read(master_, lost, sizeof lost) > 0) {
+    }
+    begun_wall_us_ = wall_us();
+    begun_us_ = now_us;
+    table.reset("button");
+    return;
+  }
+  was_open_ = is_open;
   if (ends[0].revents & POLLIN) {
     uint8_t buffer[64];
     ssize_t count = read(master_, buffer, sizeof buffer);
@@ -176,13 +198,6 @@ uint64_t Desk::next_terminal(uint64_t now_us, Table& table) {
     if (is_open && write(master_, &to_host_.front().byte, 1) != 1) break;
     to_host_.pop_front();
   }
-  if (is_open && !was_open_) {
-    was_open_ = true;
-    to_host_.clear();
-    begun_us_ += BOOT_LOADER_US;
-    table.reset("button");
-  }
-  was_open_ = is_open;
-  uint64_t step = scale_ > 1.0 ? static_cast<uint64_t>(static_cast<double>(QUANTUM_US) * scale_) : QUANTUM_US;
-  return now_us + step;
+  // A closed terminal is asked again and again; without a pause that would be all this process does.
+  if (!is_open && patience_ms > 0) usleep(static_cast<useconds_t>(patience_ms) * 1000);
 }

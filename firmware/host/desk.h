@@ -48,6 +48,7 @@ class Desk {
   };
   uint64_t next_lockstep(uint64_t now_us, Table& table);
   uint64_t next_terminal(uint64_t now_us, Table& table);
+  void serve_terminal(int patience_ms, uint64_t now_us, Table& table);
   // Whether it was one that both modes know.
   bool obey(const std::string& command, uint64_t now_us, Table& table);
   void open_terminal(const std::string& link);

@@ -53,11 +53,22 @@ void write_next() {
   ++board.memory_writes;
 }
 
+uint8_t switch_levels() {
+  uint8_t levels = 0;
+  for (uint8_t i = 0; i < uvgs::AXES; ++i) {
+    bool is_closed = board.has_switch[i] && board.motor[i] >= board.switch_at[i];
+    if (!is_closed) levels |= static_cast<uint8_t>(1 << i);
+  }
+  return levels;
+}
+
 void run_event() {
   is_in_interrupt = true;
   if (step_at <= board.now) {
     step_at = NEVER;
+    uint8_t before = switch_levels();
     uvgs::stepper::on_timer();
+    if (switch_levels() != before) uvgs::limits::on_change();
   } else if (!board.from_host.empty() && board.from_host.front().t <= board.now) {
     uint8_t byte = board.from_host.front().byte;
     board.from_host.pop_front();
@@ -88,15 +99,6 @@ void run_until(Ticks t, Ticks least) {
   }
 }
 
-uint8_t switch_levels() {
-  uint8_t levels = 0;
-  for (uint8_t i = 0; i < uvgs::AXES; ++i) {
-    bool is_closed = board.has_switch[i] && board.motor[i] >= board.switch_at[i];
-    if (!is_closed) levels |= static_cast<uint8_t>(1 << i);
-  }
-  return levels;
-}
-
 }  // namespace
 
 void Board::receive(uint8_t byte, Ticks at) {
@@ -124,6 +126,7 @@ void power_up() {
     is_in_interrupt = false;
     board.started = board.now;
     board.from_host.clear();
+    board.to_host.clear();
     board.led_duty = 0;
     board.strobe_edge = 0;
     try {
@@ -173,12 +176,10 @@ void step_timer_stop() { step_at = NEVER; }
 void set_step_idle_levels(uint8_t) {}
 
 void begin_step_pulse(uint8_t axes) {
-  uint8_t before = switch_levels();
   uint8_t negative = board.direction_levels;
   for (uint8_t i = 0; i < AXES; ++i)
     if (axes & (1 << i)) board.motor[i] += negative & (1 << i) ? -1 : 1;
   if (board.on_step) board.on_step({board.now, axes, negative});
-  if (switch_levels() != before) limits::on_change();
 }
 
 void end_step_pulse(uint8_t) {}

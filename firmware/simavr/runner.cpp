@@ -62,12 +62,20 @@ class AvrTable : public Table {
     set_cause("power");
   }
 
-  uint64_t now_us() const { return (before_us_ * CYCLES_PER_US + avr_->cycle) / CYCLES_PER_US; }
+  uint64_t now_us() const { return cycle_now() / CYCLES_PER_US; }
 
+  // The end and every arriving byte are timers of the simulator: a sleeping processor goes from one to the next.
   void run_until(uint64_t t_us) {
-    while (now_us() < t_us) {
-      deliver_bytes();
-      skip_sleep(t_us);
+    if (t_us <= now_us()) return;
+    has_ended_ = false;
+    at_cycle(t_us * CYCLES_PER_US, [](avr_t* avr, avr_cycle_count_t, void* table) -> avr_cycle_count_t {
+      static_cast<AvrTable*>(table)->has_ended_ = true;
+      // Asleep it would go on to the next timer at once; awake it looks around and sleeps again.
+      if (avr->state == cpu_Sleeping) avr->state = cpu_Running;
+      return 0;
+    });
+    if (!arriving_.empty()) at_cycle(arriving_.front().first, deliver);
+    while (!has_ended_) {
       int state = avr_run(avr_);
       if (state == cpu_Done || state == cpu_Crashed) {
         std::cerr << "the firmware crashed" << std::endl;
@@ -119,6 +127,7 @@ class AvrTable : public Table {
     avr_reset(avr_);
     avr_->cycle = 0;
     arriving_.clear();
+    sent_.clear();
     last_x_step_ = 0;
     set_cause(cause);
     set_inputs();
@@ -209,22 +218,21 @@ class AvrTable : public Table {
     avr_raise_irq(avr_io_getirq(avr_, AVR_IOCTL_IOPORT_GETIRQ('B'), LIMIT_PINS[axis]), level);
   }
 
-  void deliver_bytes() {
-    uint64_t now = before_us_ * CYCLES_PER_US + avr_->cycle;
-    while (!arriving_.empty() && arriving_.front().first <= now) {
-      avr_raise_irq(avr_io_getirq(avr_, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), arriving_.front().second);
-      arriving_.pop_front();
-    }
+  uint64_t cycle_now() const { return before_us_ * CYCLES_PER_US + avr_->cycle; }
+
+  void at_cycle(uint64_t cycle, avr_cycle_timer_t call) {
+    avr_cycle_timer_cancel(avr_, call, this);
+    avr_cycle_timer_register(avr_, cycle > cycle_now() ? cycle - cycle_now() : 1, call, this);
   }
 
-  // A sleeping processor waits for the next timer of the simulator or the next byte: go there at once.
-  void skip_sleep(uint64_t t_us) {
-    if (avr_->state != cpu_Sleeping || avr_has_pending_interrupts(avr_)) return;
-    uint64_t until = (t_us - before_us_) * CYCLES_PER_US;
-    if (avr_->cycle_timers.timer != nullptr) until = std::min<uint64_t>(until, avr_->cycle_timers.timer->when);
-    if (!arriving_.empty()) until = std::min(until, arriving_.front().first - before_us_ * CYCLES_PER_US);
-    if (until > avr_->cycle) avr_->cycle = until;
-    deliver_bytes();
+  static avr_cycle_count_t deliver(avr_t* avr, avr_cycle_count_t when, void* table) {
+    auto* t = static_cast<AvrTable*>(table);
+    if (t->arriving_.empty()) return 0;
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), t->arriving_.front().second);
+    t->arriving_.pop_front();
+    if (t->arriving_.empty()) return 0;
+    uint64_t next = t->arriving_.front().first, now = t->cycle_now();
+    return when + (next > now ? next - now : 1);
   }
 
   void load_memory() {
@@ -255,7 +263,7 @@ class AvrTable : public Table {
   StepWire step_wires_[AXES];
   int64_t motor_[AXES] = {0, 0, 0};
   int limit_level_[AXES] = {-1, -1, -1};
-  bool estop_ = false, strobe_ = false;
+  bool estop_ = false, strobe_ = false, has_ended_ = false;
   long trigger_pulses_ = 0;
   uint64_t last_x_step_ = 0;
   std::vector<uint64_t> intervals_;

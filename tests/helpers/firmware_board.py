@@ -18,7 +18,13 @@ _NS_PER_US = 1000
 
 
 KINDS = ["native", "avr"]
-TOOLS = {"host": ["g++", "make"], "avr": ["avr-g++", "make"], "simavr": ["g++", "make"], "test": ["g++", "make"]}
+TOOLS = {
+    "host": ["g++", "make"],
+    "avr": ["avr-g++", "make"],
+    "size": ["avr-g++", "make"],
+    "simavr": ["g++", "make"],
+    "test": ["g++", "make"],
+}
 
 
 def build(target: str, into: Path) -> str:
@@ -116,6 +122,12 @@ class LockstepBoard:
         """Do something to the board, as written in ``firmware/host/desk.h``, and let it run; the lines it said."""
         self._tell(command)
         return self.send(b"", for_ms)
+
+    def step_intervals(self) -> tuple[int, int, int, int, int]:
+        """Since the last call: count, least, median and most cycles between X steps; cycles of the longest pulse."""
+        self._tell("J")
+        count, least, median, most, pulse = (int(word) for word in self._answer().split()[1:])
+        return count, least, median, most, pulse
 
     def close(self) -> None:
         """End the program."""

@@ -18,7 +18,7 @@ namespace {
 
 constexpr uint8_t WANT_STATUS = 1, WANT_HOLD = 2, WANT_RESUME = 4, WANT_CANCEL = 8, WANT_RESET = 16, WANT_EXACT = 32,
                   SAW_LIMIT = 64, SAW_ESTOP = 128;
-constexpr uint8_t ALARM_LIMIT = 1, ALARM_RESET_MOVING = 3, ALARM_RESET_HOMING = 6, ALARM_ESTOP = 10;
+constexpr uint8_t ALARM_LIMIT = 1, ALARM_SOFT_LIMIT = 2, ALARM_RESET_MOVING = 3, ALARM_RESET_HOMING = 6, ALARM_ESTOP = 10;
 constexpr uint16_t ALARM_SILENCE_MS = 500;
 // GRBL pauses so long after '~' before it moves; senders' timing relies on nothing shorter.
 constexpr uint16_t RESUME_MS = 160;
@@ -63,7 +63,7 @@ void tell_alarm(uint8_t number) {
   serial::text(UVGS_TEXT("ALARM:"));
   serial::unsigned_number(number);
   serial::end_line();
-  if (number != 2) limits::forget_homed();
+  if (number != ALARM_SOFT_LIMIT) limits::forget_homed();
   hal::set_led(0);
   wait_ms(ALARM_SILENCE_MS);
 }
@@ -304,7 +304,7 @@ void service(bool has_deadline) {
 
 void critical_alarm(uint8_t alarm) {
   if (alarm == ALARM_ESTOP) hal::set_motor_enable(!settings::now.enable_invert);
-  if (now_state == State::run || now_state == State::jog) {
+  if (alarm == ALARM_SOFT_LIMIT && stepper::is_moving()) {
     // A soft limit was found while other moves run: these end in a controlled stop first.
     stepper::hold();
     while (!stepper::has_stopped() && !(pending & WANT_RESET)) {
