@@ -392,6 +392,6 @@ def _warnings(result: CalibrationResult) -> tuple[str, ...]:
     if bad:
         said.append(f"much worse than the others: {', '.join(bad[:5])}")
     edges = [[u, v] for u in (0.0, lens.width_px - 1.0) for v in (0.0, lens.height_px - 1.0)]
-    if not np.isfinite(lens.unproject(edges)).all():
+    if result.coverage.is_lit.all() and not np.isfinite(lens.unproject(edges)).all():
         said.append("the fitted lens has no rays for the corners of the picture")
     return tuple(said)

@@ -189,6 +189,12 @@ def _refusals(result: CalibrationResult) -> list[str]:
 def _remarks(result: CalibrationResult) -> list[str]:
     """What does not decide but must be known."""
     said = []
+    lens = result.calibration.lens
+    if "k6" in lens.parameter_names:
+        said.append(
+            f"the coefficients of a {lens.model} lens are drawn to zero by a prior, so their intervals one by one were not "
+            "shown to cover the truth as those of plumb_bob, equidistant and fov were: trust the maps, not the numbers"
+        )
     drift = _drift(result)
     if drift and abs(drift[0]) <= MAX_FOCAL_DRIFT:
         said.append(
