@@ -192,8 +192,8 @@ def _remarks(result: CalibrationResult) -> list[str]:
     lens = result.calibration.lens
     if "k6" in lens.parameter_names:
         said.append(
-            f"the coefficients of a {lens.model} lens are drawn to zero by a prior, so their intervals one by one were not "
-            "shown to cover the truth as those of plumb_bob, equidistant and fov were: trust the maps, not the numbers"
+            f"the coefficients of a {lens.model} lens are drawn to zero by a prior, so their intervals one by one were "
+            "not shown to cover the truth as those of plumb_bob, equidistant and fov were: trust maps, not coefficients"
         )
     drift = _drift(result)
     if drift and abs(drift[0]) <= MAX_FOCAL_DRIFT:
