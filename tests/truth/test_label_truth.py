@@ -14,6 +14,9 @@ from uvgs_bench.geometry import Pose
 from uvgs_bench.geometry.se3 import rotation_angle, se3_log, so3_exp
 from uvgs_bench.sensor import Capture, Miss, PoseEstimate, Uvgs, UvgsConfig
 from uvgs_bench.sensor.correspondence import LedMatch, LedTable, NoMatch, match_leds
+from uvgs_bench.sensor.labelings import STEP_SHIFT, STEP_TURN_RAD
+from uvgs_bench.sensor.solvers.uvgs_lm import solve
+from uvgs_bench.sensor.three_leds import fuse, match_three
 from uvgs_bench.sessions.label_study import LabelConditions, View, is_wrong, study_labels
 from uvgs_bench.store.beacons import read_beacon
 
@@ -44,7 +47,9 @@ def test_a_glint_for_a_hidden_led_is_mostly_refused_and_else_mostly_flagged(beac
     figures = study_labels(beacon, LabelConditions(hidden=1, glints=1), count=1000, seed=24)
     # Four lights leave two redundant numbers: 0.7 % fit by chance beyond what any test of one picture can see.
     assert figures.wrong_share < 0.016
-    assert figures.wrong_unflagged <= 0.5 * max(figures.wrong, 10)
+    # 0.09 % expected: one in a thousand views is promised over many, five in a thousand is five deviations.
+    assert figures.wrong_unflagged <= 5
+    assert figures.wrong > figures.wrong_unflagged
 
 
 @pytest.mark.slow
@@ -177,6 +182,45 @@ def test_with_a_prior_a_glint_for_a_hidden_led_is_seen_through(beacon):
     assert solved > 25
 
 
+@pytest.mark.parametrize(
+    ("cone_deg", "peak_dn", "hidden", "glints", "least"),
+    [
+        (40.0, 170.0, 1, 0, 0),
+        (40.0, 170.0, 1, 1, 0),
+        (40.0, 170.0, 0, 2, 7),
+        (40.0, 600.0, 0, 0, 10),
+        (69.0, 170.0, 0, 0, 7),
+    ],
+    ids=["occluded", "occluded with glint", "glints", "saturated", "grazing"],
+)
+def test_drawn_pictures_give_the_right_pose_or_a_reason(beacon, cone_deg, peak_dn, hidden, glints, least):
+    rng = np.random.default_rng(51)
+    lens = spots.lens()
+    uvgs = Uvgs(spots.calibration(), beacon)
+    solved = 0
+    for _ in range(12):
+        while True:
+            pose = spots.random_pose(rng, cone_deg)
+            facing = float(-(pose.R @ [0.0, 0.0, -1.0]) @ pose.t_m / np.linalg.norm(pose.t_m))
+            # Grazing: the last ten degrees before the LEDs cannot be seen any more.
+            if cone_deg < 60.0 or facing < np.cos(np.radians(59.0)):
+                break
+        px = lens.project(pose.apply(beacon.positions_m))
+        reach = np.abs(px - px.mean(axis=0)).max()
+        strays = px.mean(axis=0) + rng.uniform(-1.5, 1.5, (glints, 2)) * reach
+        lights = np.vstack([rng.permutation(px)[hidden:], strays])
+        got = uvgs.solve(Capture(spots.draw(lights, rng, peak_dn=peak_dn), 0))
+        if isinstance(got, Miss):
+            assert got.reason
+            continue
+        if "weak_evidence" in got.flags:
+            continue
+        solved += 1
+        # Far beyond any deviation of a rightly named pose here; a truly different pose is farther off.
+        assert got.camera_from_beacon.is_close(pose, 0.1, 0.02 * float(np.linalg.norm(pose.t_m)))
+    assert solved >= least
+
+
 def in_colour(centres_px: np.ndarray, bgr: np.ndarray, peak_dn: float, rng: np.random.Generator) -> np.ndarray:
     """A colour picture: each channel sees each spot by its share; more than 255 clips."""
     channels = [spots.draw(centres_px, rng, peak_dn=np.maximum(peak_dn * bgr[:, c], 1e-3)) for c in range(3)]
@@ -205,7 +249,6 @@ def test_beacons_of_other_colours_are_told_apart_even_with_clipped_cores(beacon,
     assert green.reason == "too_few_blobs"
 
 
-@pytest.mark.slow
 @pytest.mark.shared_data
 @pytest.mark.opencv
 def test_a_device_of_34_leds_is_found_where_it_was_rendered(pytestconfig):
@@ -225,13 +268,47 @@ def test_a_device_of_34_leds_is_found_where_it_was_rendered(pytestconfig):
     lens = Lens("plumb_bob", 640, 480, np.array([700.0, 700.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     config = UvgsConfig(max_blobs=48, min_separation_px=2.0, model_error_px=0.5, min_range_m=0.15, max_range_m=1.5)
     uvgs = Uvgs(Calibration(lens), Beacon("hdk", leds), config)
-    for name in ("0001.tif", "0009.tif"):
+    for name in ("0001.tif", "0009.tif", "0025.tif", "0032.tif"):
         got = uvgs.solve(Capture(read_image(folder / name), 0))
         assert isinstance(got, PoseEstimate)
         # Rendered with X -0.035 to 0.115 m, Y 0.025 m, Z 0.30 m; the renderer's spots are coarse.
         assert -0.04 < got.camera_from_beacon.t_m[0] < 0.12
         assert got.camera_from_beacon.t_m[1:] == pytest.approx([0.025, 0.30], abs=0.02)
         assert np.isfinite(got.led_px[:, 0]).sum() > 20
+
+
+def test_three_leds_and_a_prior_are_as_far_off_as_their_covariance_says(beacon):
+    rng = np.random.default_rng(33)
+    lens, config, sigma = spots.lens(), UvgsConfig(), np.full(4, 0.1)
+    table, nothing = LedTable.of(beacon, config), np.zeros((4, 2))
+    squares, refused = [], 0
+    for _ in range(120):
+        pose = spots.random_pose(rng)
+        px = lens.project(pose.apply(beacon.positions_m)) + rng.normal(size=(4, 2)) * sigma[:, None]
+        last = solve(lens, beacon.positions_m, px, sigma, pose, 30)
+        covariance = np.linalg.inv(last.information)
+        prior = PoseEstimate(last.camera_from_beacon, covariance, 0, "b", nothing, nothing, 0.1, 9.0, 4)
+        # As far as a step is expected to be.
+        turn, shift = rng.normal(size=3) * STEP_TURN_RAD, rng.normal(size=3) * STEP_SHIFT * np.linalg.norm(pose.t_m)
+        now = Pose(so3_exp(turn) @ pose.R, pose.t_m + shift, "camera", "beacon")
+        seen = np.delete(np.arange(4), rng.integers(4))
+        px = lens.project(now.apply(beacon.positions_m))[seen] + rng.normal(size=(3, 2)) * 0.1
+        match = match_three(px, sigma[:3], lens, table, config, prior)
+        if isinstance(match, NoMatch):
+            refused += 1
+            continue
+        named = np.flatnonzero(match.blob_of_led >= 0)
+        assert named.tolist() == seen.tolist()
+        got = fuse(lens, beacon.positions_m[named], px[match.blob_of_led[named]], sigma[:3], match.start, prior)
+        R = np.ascontiguousarray(got.camera_from_beacon.R @ now.R.T)
+        xi = se3_log(R, got.camera_from_beacon.t_m - R @ now.t_m)
+        squares.append(float(xi @ got.information @ xi))
+    # A quarter is refused: two roots within reach of so wide a step.
+    assert refused < 50
+    low, high = chi2.ppf([0.005, 0.995], 6 * len(squares)) / len(squares)
+    assert low < np.mean(squares) < high
+    # Among 120 values of six degrees of freedom one beyond this has a chance of 1e-6.
+    assert max(squares) < chi2.ppf(1.0 - 1e-8, 6)
 
 
 def test_many_leds_without_a_fit_say_so():

@@ -26,7 +26,7 @@ from uvgs_bench.sensor.outcome import PoseEstimate
 __all__ = ["LedMatch", "LedTable", "NoMatch", "match_leds"]
 
 _DEGENERATE_SINE = 0.05
-WEAK_CHANCE = 0.02
+WEAK_CHANCE = 0.007
 """A pose with more expected chance fits than this is published with a flag."""
 
 

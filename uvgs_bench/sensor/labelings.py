@@ -212,7 +212,8 @@ def search(
     near = np.zeros(count, dtype=bool)
     if prior is not None:
         step2 = steps_from(prior, Rs, ts)
-        near = step2 < PRIOR_REACH2
+        # What was weak itself lends no weight: a glint that stays would vouch for itself.
+        near = (step2 < PRIOR_REACH2) & ("weak_evidence" not in prior.flags)
         cost = cost + np.minimum(step2, PRIOR_REACH2)
     order = np.argsort(cost, kind="stable")
     named = assignments[order]

@@ -86,7 +86,7 @@ def match_with_prior(
     match: LedMatch | NoMatch = NoMatch("too_few_blobs", f"{len(centroid_px)} blobs, needs 4, or 3 and a prior")
     if len(centroid_px) >= 4:
         match = match_leds(centroid_px, sigma_px, lens, leds, config, prior, looks)
-    if prior is None or config.correspondence == "paper":
+    if prior is None or config.correspondence == "paper" or "weak_evidence" in prior.flags:
         return match
     if isinstance(match, LedMatch) and (not match.is_weak or is_near(prior, match.start)):
         return match
