@@ -6,6 +6,7 @@ usually published. The tests follow them; no conformity is claimed, since the in
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,8 @@ import numpy as np
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import FloatArray
 
-# Half-width of a 95 % interval in standard deviations; the fits below have dozens of readings.
-_Z95 = 1.96
+# Widths that are tried, as shares of the way to and fro; wider than the last, nothing would move.
+_WIDEST_SHARE, _GRID = 0.95, 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,8 @@ def played(commands_m: FloatArray, width_m: float) -> FloatArray:
 def fit_dead_band(commands_m: FloatArray, readings_m: FloatArray) -> DeadBand:
     """Fit the width of the dead band to readings of small steps to and fro.
 
-    Origin and scale of the readings are free. The width is looked for on a grid and refined by Gauss-Newton.
+    Origin and scale of the readings are free. The interval holds every width whose sum of squares is not significantly
+    larger than the least.
 
     Args:
         commands_m: Commanded positions in the order of visits, shape (N,), m; the first was approached from below, and
@@ -155,35 +157,60 @@ def fit_dead_band(commands_m: FloatArray, readings_m: FloatArray) -> DeadBand:
     turns = int(np.sum(np.diff(np.sign(np.diff(commands_m))) != 0.0))
     if N < 8 or turns < 1:
         raise RegistrationError(f"a dead band needs 8 readings and a reversal, got {N} and {turns}")
+    from scipy.stats import f
+
     span = float(np.ptp(commands_m))
-    grid = np.linspace(0.0, 0.9 * span, 200)
-    width = float(grid[np.argmin([_played_residual(commands_m, readings_m, w)[1] for w in grid])])
-    step = 1e-3 * span
-    covariance, scatter = 0.0, 0.0
-    for _ in range(12):
-        residual, square = _played_residual(commands_m, readings_m, width)
-        ahead, _ = _played_residual(commands_m, readings_m, width + step)
-        behind, _ = _played_residual(commands_m, readings_m, max(0.0, width - step))
-        slope = (ahead - behind) / (step + min(step, width))
-        scatter = float(np.sqrt(square / (N - 3)))
-        information = float(slope @ slope)
-        if information <= 0.0:
-            raise RegistrationError("the steps to and fro say nothing of the dead band")
-        covariance = scatter**2 / information
-        change = -float(slope @ residual) / information
-        better = max(0.0, width + change)
-        if _played_residual(commands_m, readings_m, better)[1] >= square:
-            break
-        width = better
-    doubt = _Z95 * float(np.sqrt(covariance))
-    return DeadBand(width, max(0.0, width - doubt), width + doubt, scatter, N)
+    grid = np.linspace(0.0, _WIDEST_SHARE * span, _GRID)
+    squares = np.array([_played_square(commands_m, readings_m, width) for width in grid])
+    best = int(np.argmin(squares))
+    if squares.max() - squares.min() <= 1e-9 * squares.max():
+        raise RegistrationError("the steps to and fro say nothing of the dead band")
+    low, high = float(grid[max(0, best - 1)]), float(grid[min(_GRID - 1, best + 1)])
+    width = _smallest(lambda w: _played_square(commands_m, readings_m, w), low, high)
+    least = _played_square(commands_m, readings_m, width)
+    # Where the noise is large against the way, the sum of squares is no parabola: what it still allows is looked up.
+    allowed = least * (1.0 + float(f.ppf(0.95, 1, N - 3)) / (N - 3)) + 1e-24
+    inside = np.flatnonzero(squares <= allowed)
+    first, last = (int(inside[0]), int(inside[-1])) if len(inside) else (best, best)
+
+    def edge(within: float, beyond: float) -> float:
+        for _ in range(40):
+            middle = 0.5 * (within + beyond)
+            if _played_square(commands_m, readings_m, middle) <= allowed:
+                within = middle
+            else:
+                beyond = middle
+        return within
+
+    low = edge(min(width, float(grid[first])), float(grid[max(0, first - 1)]))
+    high = edge(max(width, float(grid[last])), float(grid[min(_GRID - 1, last + 1)]))
+    return DeadBand(width, low, high, float(np.sqrt(least / (N - 3))), N)
 
 
-def _played_residual(commands_m: FloatArray, readings_m: FloatArray, width_m: float) -> tuple[FloatArray, float]:
-    """Residuals and their sum of squares once origin and scale fit best."""
-    A = np.column_stack([played(commands_m, width_m), np.ones(len(commands_m))])
-    residual = readings_m - A @ np.linalg.lstsq(A, readings_m, rcond=None)[0]
-    return residual, float(residual @ residual)
+def _smallest(square: Callable[[float], float], low: float, high: float) -> float:
+    """Golden-section search."""
+    ratio = 0.5 * (float(np.sqrt(5.0)) - 1.0)
+    a, b = high - ratio * (high - low), low + ratio * (high - low)
+    at_a, at_b = square(a), square(b)
+    for _ in range(50):
+        if at_a <= at_b:
+            high, b, at_b = b, a, at_a
+            a = high - ratio * (high - low)
+            at_a = square(a)
+        else:
+            low, a, at_a = a, b, at_b
+            b = low + ratio * (high - low)
+            at_b = square(b)
+    return 0.5 * (low + high)
+
+
+def _played_square(commands_m: FloatArray, readings_m: FloatArray, width_m: float) -> float:
+    """Sum of squared residuals once origin and scale fit best."""
+    x = played(commands_m, width_m)
+    x, y = x - x.mean(), readings_m - readings_m.mean()
+    xx = float(x @ x)
+    residual = y - (float(x @ y) / xx * x if xx > 0.0 else 0.0)
+    return float(residual @ residual)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,8 @@ def gantry_sweep(
 ) -> None:
     """Sweep the beacon through a procedure and keep everything as a run.
 
-    Ctrl-C stops the motion first, closes the run properly and says how to resume it.
+    Ctrl-C stops the motion first, closes the run properly and says how to resume it; once more while it stops is a hard
+    stop that loses the position. Ctrl-Z pauses at the next station until fg.
     """
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.errors import ConfigError, UnreadableDocument

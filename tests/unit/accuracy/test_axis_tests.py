@@ -61,14 +61,14 @@ def test_dead_band_to_ten_percent_and_its_interval_covers() -> None:
     """0.1 mm under 12 um of scatter: what axis and camera together do on the simulated bench."""
     commands = to_and_fro()
     errors, covered = [], []
-    for seed in range(100):
+    for seed in range(60):
         noise = np.random.default_rng(seed).normal(0.0, 12e-6, len(commands))
         band = fit_dead_band(commands, played(commands, 1e-4) + noise)
         errors.append(band.width_m - 1e-4)
         covered.append(band.low_m <= 1e-4 <= band.high_m)
     assert np.max(np.abs(errors)) < 1e-5
-    # Of 100 intervals of 95 %, fewer than 88 cover with a chance below 0.5 %.
-    assert sum(covered) >= 88
+    # Of 60 intervals of 95 %, fewer than 52 cover with a chance below 0.5 %.
+    assert sum(covered) >= 52
 
 
 def test_steps_that_say_nothing_are_refused() -> None:

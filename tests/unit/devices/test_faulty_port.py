@@ -167,6 +167,31 @@ def test_a_damaged_move_is_stopped_on_the_way(monkeypatch: pytest.MonkeyPatch, w
     assert np.linalg.norm(state.position - -0.001) < 0.04
 
 
+@pytest.mark.parametrize(("times", "harm"), [(1, b"$j=G1"), (1, b"$J=Q2"), (2, b"$J=Q2")])
+def test_a_move_refused_for_how_it_reads_is_said_again_once(
+    monkeypatch: pytest.MonkeyPatch, times: int, harm: bytes
+) -> None:
+    mock = MockGantry(monkeypatch)
+    mock.gantry.home()
+    port = mock.gantry._wire._port
+    write, hits = port.write, []
+
+    def damaging(data: bytes) -> int:
+        if b"$J" in data and len(hits) < times:
+            hits.append(data)
+            return write(data.replace(b"$J=G2", harm, 1))
+        return write(data)
+
+    port.write = damaging
+    if times == 1:
+        state = mock.gantry.move_to([-0.02, -0.01, -0.03], 0.05)
+        np.testing.assert_allclose(state.position, [-0.02, -0.01, -0.03], atol=2.5e-6)
+    else:
+        with pytest.raises(GantryError, match="refused"):
+            mock.gantry.move_to([-0.02, -0.01, -0.03], 0.05)
+        np.testing.assert_allclose(mock.gantry.state().position, [-0.001] * 3, atol=2.5e-6)
+
+
 def test_settings_that_read_differently_are_read_again_and_then_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     values = iter([b"400.000", b"40.000", b"400.000", b"400.000"])
 

@@ -20,6 +20,7 @@ from uvgs_bench.devices.gantry.axes import Axis, Envelope
 from uvgs_bench.devices.gantry.controller_clock import Exchange, StampedPosition, ask_clock
 from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, WireLog
 from uvgs_bench.devices.gantry.grbl_arrival import LATE_S, WATCH_S, Way, await_arrival
+from uvgs_bench.devices.gantry.grbl_codes import MALFORMED
 from uvgs_bench.devices.gantry.grbl_identity import identify
 from uvgs_bench.devices.gantry.grbl_link import GrblLink
 from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings
@@ -222,7 +223,7 @@ class GrblGantry:
         self._last_state = None
         begun_ns = self._clock.now_ns()
         try:
-            self._link.command(line, _REPLY_S)
+            self._order(line)
             if style == "line":
                 self._link.command(_BARRIER, plan.duration_s + LATE_S)
             state = self._await_arrival(way, begun_ns, plan.duration_s)
@@ -384,6 +385,16 @@ class GrblGantry:
     def _await_arrival(self, way: Way, begun_ns: int, duration_s: float) -> GantryState:
         every_s = WATCH_S if self._recorded is None else _RECORD_S
         return await_arrival(way, self._link, self._clock, self._ask_state, self._brake, begun_ns, duration_s, every_s)
+
+    def _order(self, line: str) -> None:
+        """Send a move; one that was refused for how it reads was damaged on the way, did nothing, and is said again."""
+        try:
+            self._link.command(line, _REPLY_S)
+        except GantryRefused as refusal:
+            if refusal.code not in MALFORMED:
+                raise
+            self._wire.remark("refused for how it reads, so damaged on the way: said again")
+            self._link.command(line, _REPLY_S)
 
     def _come_to_rest(self) -> GantryState:
         deadline_ns = self._clock.now_ns() + ns_from_s(_STOP_S)

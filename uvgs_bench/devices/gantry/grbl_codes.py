@@ -100,6 +100,10 @@ BAD_CHECKSUM = 60
 """The error number that says a line was damaged and not run."""
 
 
+MALFORMED = frozenset({1, 2, 3, 11, 16, 20, 21, 22, 23, 24, 25, 26, 28, 30, 31, 36})
+"""Error numbers that complain of how a line reads, which no line of the driver deserves."""
+
+
 @dataclass(frozen=True, slots=True)
 class Dialect:
     """A firmware that speaks GRBL's protocol, as far as it differs.
