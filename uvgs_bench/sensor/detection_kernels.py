@@ -17,6 +17,8 @@ from uvgs_bench.sensor.peak_kernels import MAX_PEAKS, find_peaks, find_window_pe
 AREA, SUM_X, SUM_Y, X0, Y0, X1, Y1, PERIMETER, COMPONENT_COLUMNS = 0, 1, 2, 3, 4, 5, 6, 7, 8
 # Where the full window shows no light or its component has no end, narrower ones look closer: half sides, px.
 _CLOSER_PX = (15, 8)
+# There a light must be so much higher than elsewhere, because specks stand alone in narrow windows.
+_CLOSER_FLOOR = 2.0
 # Two peaks are two lights when the picture between them falls by this share of the lower one's height.
 _SADDLE = 0.1
 # Places higher than this are not looked at for two lights, px.
@@ -68,8 +70,14 @@ def _surroundings(image: ImageArray, y: int, x: int, half: int) -> tuple[float, 
         return mean, sigma, float(peak), 0.0
     background = total / dark
     noise = sqrt(max(square / dark - background * background, 0.0))
-    # Of a normal distribution cut in the middle 0.6 of the deviation is left.
-    return mean, sigma, background, noise / min(max(0.8 * dark / n + 0.2, 0.6), 1.0)
+    # The top of a wide light is surrounded by its own flank, which is no texture.
+    rim = background + 0.7 * (peak - background)
+    for v, u in ((y - 4, x), (y + 4, x), (y, x - 4), (y, x + 4)):
+        if v >= 0 and v < height and u >= 0 and u < width and float(image[v, u]) < rim:
+            # Of a normal distribution cut in the middle 0.6 of the deviation is left.
+            noise /= min(max(0.8 * dark / n + 0.2, 0.6), 1.0)
+            break
+    return mean, sigma, background, noise
 
 
 @compiled
@@ -205,9 +213,10 @@ def grow_components(
                     continue
             elif mark != 0:
                 continue
-            if look == 1 and not stands_out(image, y, x, floor):
+            least = floor if look == 0 else _CLOSER_FLOOR * floor
+            if look == 1 and not stands_out(image, y, x, least):
                 break
-            threshold, background = _threshold(image, y, x, window, k, floor, floor_share)
+            threshold, background = _threshold(image, y, x, window, k, least, floor_share)
             if np.isnan(threshold):
                 continue
             if look == 0 and not is_bounded(image, y, x, threshold, 1, longest):

@@ -144,7 +144,7 @@ def _falls_around(image: ImageArray, y: int, x: int, level: float) -> bool:
 
 @compiled
 def stands_out(image: ImageArray, y: int, x: int, floor: float) -> bool:
-    """Whether a pixel is above eight around it, at one of the distances of a small light, by 5 of their deviations.
+    """Whether a pixel is above eight around it, at one of the distances of a small light, by 10 of their deviations.
 
     Args:
         image: Brightness, shape (H, W).
@@ -172,7 +172,7 @@ def stands_out(image: ImageArray, y: int, x: int, floor: float) -> bool:
                 n += 1
         mean = total / n
         rise = top - mean
-        if rise >= floor and rise * rise >= 25.0 * (square / n - mean * mean):
+        if rise >= floor and rise * rise >= 100.0 * (square / n - mean * mean):
             return True
     return False
 
