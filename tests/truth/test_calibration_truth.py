@@ -156,11 +156,13 @@ def test_stated_deviations_are_the_true_ones_when_some_pictures_are_blurred():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant", "fov"])
 def test_stated_deviations_are_the_true_ones_in_long(model):
     check_coverage(model, 1000)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_stated_deviations_are_the_true_ones_in_long_when_some_pictures_are_blurred():
     check_coverage("plumb_bob", 1000, is_noise_equal=False)
