@@ -13,6 +13,7 @@ from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
 from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
 from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
+from uvgs_bench.accuracy.uncertainty import Budget
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import Pose
 from uvgs_bench.units import deg_from_rad, mm_from_m
@@ -131,6 +132,7 @@ class Judgement:
         verdict: ``fail`` if any limit fails, else ``inconclusive`` if any is or there are none, else ``pass``.
         alerts: What the reader must know, worst first.
         split: How the captures were parted into fitting and judging, one line.
+        budget: The uncertainty budget of the captures that judge, or None.
     """
 
     registration: Registration | None
@@ -143,6 +145,7 @@ class Judgement:
     verdict: Verdict
     alerts: tuple[Alert, ...]
     split: str
+    budget: Budget | None = None
 
 
 _FOLDS = 5

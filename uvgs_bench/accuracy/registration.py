@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.bench_model import carriage_motion, predicted, prediction_jacobian
+from uvgs_bench.accuracy.bench_terms import AxisTerms
+from uvgs_bench.accuracy.clusters import Estimate
 from uvgs_bench.accuracy.least_squares import Alignment, usual_distance
 from uvgs_bench.accuracy.observability import blind_spots, in_gauge, mounted_slice
 from uvgs_bench.accuracy.observations import Mount, Observations
@@ -68,6 +70,10 @@ class Registration:
         degrees_of_freedom: Of the variance factor: 6 per station less the rank.
         gantry_sigma_m: Standard deviation per axis assumed for the carriage position, m.
         iterations: Iterations of the least squares.
+        axis_terms: Scale and squareness of the axes, or None when not asked for or not justified.
+        time_offset_s: How much later than mid-exposure the captures are stamped on the gantry's clock, s; or None.
+        time_rate: Seconds by which that grows per second; or None.
+        term_notes: What became of each term that was asked for, one line each, with the reason.
     """
 
     mount: Mount
@@ -86,6 +92,10 @@ class Registration:
     degrees_of_freedom: int
     gantry_sigma_m: float
     iterations: int
+    axis_terms: AxisTerms | None = None
+    time_offset_s: Estimate | None = None
+    time_rate: Estimate | None = None
+    term_notes: tuple[str, ...] = ()
 
     @property
     def left_covariance(self) -> FloatArray:
