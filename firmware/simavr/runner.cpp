@@ -130,6 +130,12 @@ class AvrTable : public Table {
     sent_.clear();
     last_x_step_ = 0;
     set_cause(cause);
+    // The reset forgot what stands on the inputs; only changes are passed on, so each is changed there and back.
+    for (int axis = 0; axis < AXES; ++axis) {
+      avr_raise_irq(avr_io_getirq(avr_, AVR_IOCTL_IOPORT_GETIRQ('B'), LIMIT_PINS[axis]), !limit_level_[axis]);
+      limit_level_[axis] = -1;
+    }
+    avr_raise_irq(avr_io_getirq(avr_, AVR_IOCTL_IOPORT_GETIRQ('C'), ESTOP_PIN), !estop_);
     set_inputs();
   }
 
