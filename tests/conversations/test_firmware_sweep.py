@@ -93,7 +93,7 @@ def test_a_sweep_with_the_machine_code_reports_the_counted_steps(
     # Eight places say too little to pass or fail, and that is said.
     assert left.value.code in (0, 3)
     run = read_run(next(path for path in tmp_path.iterdir() if path.name.endswith("_corner")))
-    assert run.ended == "done"
+    assert run.ended == "completed"
     assert "uvgs_gantry" in run.manifest.gantry_info.values()
     assert len(run.samples) == 8
     for sample in run.samples:

@@ -20,8 +20,8 @@ struct Entry {
 };
 
 constexpr float HUGE_VALUE = 1e6f;
-// The step interrupt takes up to 36 us with three axes: at this rate half the processor is left for everything else.
-constexpr float FASTEST_STEPS_PER_S = 15000.0f;
+// The step interrupt takes up to 42 us with three axes: at this rate half the processor is left for everything else.
+constexpr float FASTEST_STEPS_PER_S = 12000.0f;
 
 #define AT(field) static_cast<uint8_t>(offsetof(Settings, field))
 #define AXIS_ENTRIES(base, field, lowest, highest, preset)                      \
