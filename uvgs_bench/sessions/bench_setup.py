@@ -394,4 +394,5 @@ def _manifest(set_up: SetUp, rig: Rig, run_id: str, keep: str) -> RunManifest:
         gantry_sigma_m=set_up.bench.position_sigma_m,
         sources=set_up.sources,
         mounted=set_up.bench.mounted,
+        approach=procedure.approach,
     )

@@ -244,6 +244,7 @@ def _take_station(plan: Plan, station: Station, rig: Rig, writer: RunWriter) -> 
             position=state.position,
             outcome=outcome,
             attempt=writer.attempt_of(station.index),
+            exposure_s=capture.exposure_s,
         )
         samples.append((sample, capture.image))
     return writer.append_station(samples)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.devices.gantry.axes import gantry_from_carriage
@@ -30,16 +31,25 @@ def observations_from_run(run: Run) -> Observations:
     N, A = len(samples), len(run.manifest.axes)
     R_gs, t_gs = np.empty((N, 3, 3)), np.empty((N, 3))
     R_cb, t_cb, covariance = np.full((N, 3, 3), np.nan), np.full((N, 3), np.nan), np.full((N, 6, 6), np.nan)
+    by_beacon, by_lens = np.full((N, 6, 6), np.nan), np.full((N, 6, 6), np.nan)
+    rms_px, exposure_s = np.full(N, np.nan), np.full(N, np.nan)
     known: dict[bytes, Pose] = {}
     for i, sample in enumerate(samples):
         at = sample.position.tobytes()
         if at not in known:
             known[at] = gantry_from_carriage(run.manifest.axes, sample.position)
         R_gs[i], t_gs[i] = known[at].R, known[at].t_m
+        if sample.exposure_s is not None:
+            exposure_s[i] = sample.exposure_s
         if isinstance(sample.outcome, PoseEstimate):
             R_cb[i] = sample.outcome.camera_from_beacon.R
             t_cb[i] = sample.outcome.camera_from_beacon.t_m
             covariance[i] = sample.outcome.covariance
+            rms_px[i] = sample.outcome.rms_px
+            if sample.outcome.beacon_covariance is not None:
+                by_beacon[i] = sample.outcome.beacon_covariance
+            if sample.outcome.calibration_covariance is not None:
+                by_lens[i] = sample.outcome.calibration_covariance
     return Observations(
         station=np.array([sample.station for sample in samples], dtype=np.int64),
         role=tuple(sample.role for sample in samples),
@@ -54,7 +64,28 @@ def observations_from_run(run: Run) -> Observations:
         reason=tuple(sample.reason for sample in samples),
         mount=run.manifest.mount,
         place=np.array([sample.waypoint for sample in samples], dtype=np.int64),
+        approach=_approaches(run),
+        exposure_s=read_only(exposure_s),
+        rms_px=read_only(rms_px),
+        blob_count=np.array([sample.outcome.blob_count for sample in samples], dtype=np.int64),
+        beacon_covariance=read_only(by_beacon),
+        calibration_covariance=read_only(by_lens),
     )
+
+
+def _approaches(run: Run) -> NDArray[np.int8]:
+    """Sign of the last motion of each axis before each capture, shape (N, A); 0 where nobody knows."""
+    out = np.zeros((len(run.samples), len(run.manifest.axes)), dtype=np.int8)
+    if run.manifest.approach in ("from_below", "from_above"):
+        out[:] = 1 if run.manifest.approach == "from_below" else -1
+    elif run.manifest.approach == "none":
+        for i, sample in enumerate(run.samples[1:], start=1):
+            before = run.samples[i - 1]
+            moved = np.sign(sample.target - before.target).astype(np.int8)
+            # An axis that stayed keeps the side it came from; a seam may hide a move, so nothing is known after it.
+            seam = any(seam.first_index == sample.index for seam in run.seams)
+            out[i] = np.where(moved != 0, moved, 0 if seam else out[i - 1])
+    return out
 
 
 def _stacked(rows: list[FloatArray], width: int) -> FloatArray:

@@ -48,6 +48,7 @@ def line_from_sample(sample: Sample) -> str:
         "target": sample.target.tolist(),
         "position": sample.position.tolist(),
         "capture": sample.capture_file,
+        "exposure_s": sample.exposure_s,
         **_record_from_outcome(sample.outcome),
     }
     return json.dumps(record, allow_nan=False, separators=(",", ":"))
@@ -83,6 +84,7 @@ def sample_from_line(line: str) -> Sample:
             outcome=_outcome_from_record(record),
             capture_file=str(record["capture"]),
             attempt=int(record["attempt"]),
+            exposure_s=None if record.get("exposure_s") is None else float(record["exposure_s"]),
         )
     except KeyError as error:
         raise ValueError(f"key {error} is missing") from None
@@ -203,6 +205,8 @@ def tables_from_manifest(manifest: RunManifest) -> dict[str, object]:
     ]
     if manifest.mounted is not None:
         tables["mounted"] = _record_from_pose(manifest.mounted)
+    if manifest.approach:
+        tables["approach"] = manifest.approach
     return tables
 
 
@@ -252,6 +256,7 @@ def manifest_from_tables(tables: Mapping[str, Any]) -> RunManifest:
         known |= {key: dict(tables[key]) for key in _TABLE_KEYS}
         known["axes"] = tuple(_axis_from_table(table) for table in tables["axes"])
         known["limits"] = tuple(Limit(**table) for table in tables["limits"])
+        known["approach"] = str(tables.get("approach", ""))
         if "mounted" in tables:
             is_carried = tables["mount"] == "beacon_on_carriage"
             names = ("carriage", "beacon") if is_carried else ("camera", "carriage")

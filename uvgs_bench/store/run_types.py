@@ -37,6 +37,7 @@ class Sample:
         outcome: What the sensor answered.
         capture_file: File of the kept picture, relative to the run folder, or empty.
         attempt: Number of the try at this station, from 0; a resumed run retakes a half-done station.
+        exposure_s: Exposure time, s, or None when unknown.
     """
 
     index: int
@@ -51,6 +52,7 @@ class Sample:
     outcome: Outcome
     capture_file: str = ""
     attempt: int = 0
+    exposure_s: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "target", read_only(self.target, (-1,)))
@@ -96,6 +98,8 @@ class RunManifest:
         sources: Where each set-up file was read, by the name of its copy.
         mounted: How what rides the carriage sits on it, as built: carriage_from_beacon or camera_from_carriage; None
             when nobody said.
+        approach: From where the carriage came to rest: ``none`` (straight from the last target), ``from_below``,
+            ``from_above``; empty when nobody wrote it down.
     """
 
     id: str
@@ -120,6 +124,7 @@ class RunManifest:
     gantry_sigma_m: float = 5e-5
     sources: dict[str, str] = field(default_factory=dict)
     mounted: Pose | None = None
+    approach: str = ""
 
 
 @dataclass(frozen=True, slots=True)
