@@ -6,6 +6,8 @@
 #include <stdint.h>
 
 #ifdef __AVR__
+// Tables made from switches would lie in memory, which is scarce; the Arduino IDE cannot be told so otherwise.
+#pragma GCC optimize("no-tree-switch-conversion")
 #include <avr/pgmspace.h>
 #define UVGS_FLASH PROGMEM
 #define UVGS_TEXT(text) PSTR(text)
