@@ -246,3 +246,18 @@ def test_settings_and_boot_number_outlive_power_and_no_byte_is_lost_while_they_a
         lines = board.do("R button", 300)
         assert "[MSG:Reset: button, boot 3]" in lines
         assert fields_of(board.say("$P")[0], "POS")[8] == "3"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("cause", ["power", "button", "brown-out", "watchdog"])
+def test_the_welcome_says_what_reset_it_and_positions_are_forgotten(
+    firmware_builds: FirmwareBuilds, kind: str, cause: str
+) -> None:
+    with firmware_builds.board(kind) as board:
+        assert board.say("$J=G91X-0.1F300", 500) == ["ok"]
+        lines = board.do(f"R {cause}", 500)
+        assert lines[0] == "Grbl 1.1h ['$' for help]"
+        assert re.match(rf"\[MSG:Reset: {cause}, boot \d+\]", lines[1])
+        report = fields_of(board.say("$P")[0], "POS")
+        assert (report[3], report[6]) == ("0,0,0", "-")
+        assert board.table().motor_steps == (-25, 0, 0)
