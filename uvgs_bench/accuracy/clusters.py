@@ -28,6 +28,7 @@ class Estimate:
         station_count: Places behind it (stations that revisit a place count once).
         capture_count: Captures behind it.
         note: Why the interval is missing or open, empty otherwise.
+        effective_count: How many independent captures they are worth; 0 when that was not computed.
     """
 
     value: float
@@ -36,11 +37,12 @@ class Estimate:
     station_count: int
     capture_count: int
     note: str = ""
+    effective_count: float = 0.0
 
     def scaled(self, factor: float) -> Estimate:
         """The same figure in another unit."""
         ends = self.value * factor, self.low * factor, self.high * factor
-        return Estimate(*ends, self.station_count, self.capture_count, self.note)
+        return Estimate(*ends, self.station_count, self.capture_count, self.note, self.effective_count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,9 +94,9 @@ class Clusters:
         np.add.at(out, self.index, values)
         return out
 
-    def estimate(self, value: float, low: float, high: float, note: str = "") -> Estimate:
+    def estimate(self, value: float, low: float, high: float, note: str = "", worth: float = 0.0) -> Estimate:
         """An estimate that carries these counts."""
-        return Estimate(float(value), float(low), float(high), self.count, self.captures, note)
+        return Estimate(float(value), float(low), float(high), self.count, self.captures, note, float(worth))
 
     def unbounded(self, value: float, floor: float = 0.0) -> Estimate | None:
         """The estimate to give when there are too few places for an interval, or None when there are enough."""

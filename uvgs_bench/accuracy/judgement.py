@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,16 +11,18 @@ import numpy as np
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, Estimate
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
+from uvgs_bench.accuracy.quantities import Quantity, quantities
+from uvgs_bench.accuracy.quantity_catalogue import LIMITABLE
 from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
 from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
 from uvgs_bench.accuracy.uncertainty import Budget
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import Pose
-from uvgs_bench.units import deg_from_rad, mm_from_m
+from uvgs_bench.units import deg_from_rad, mm_from_m, ms_from_s
 
 Verdict = Literal["pass", "fail", "inconclusive"]
 Bound = Literal["max", "min"]
-LimitUnit = Literal["mm", "deg", "percent"]
+LimitUnit = Literal["mm", "deg", "percent", "ms"]
 
 QUANTITIES: dict[str, tuple[str, str, LimitUnit]] = {
     "position_rms_mm": ("position", "rms", "mm"),
@@ -33,8 +35,15 @@ QUANTITIES: dict[str, tuple[str, str, LimitUnit]] = {
     "attitude_p95_deg": ("attitude", "p95", "deg"),
     "attitude_max_deg": ("attitude", "max", "deg"),
     "availability_percent": ("availability", "fraction", "percent"),
+    **{name: ("quantity", key, unit) for name, (key, unit) in LIMITABLE.items()},
 }
-"""Quantity a limit may name -> component, statistic, unit."""
+"""Quantity a limit may name -> component, statistic, unit; of component ``quantity`` the statistic is its key."""
+_FACTORS: dict[LimitUnit, float] = {
+    "mm": mm_from_m(1.0),
+    "deg": deg_from_rad(1.0),
+    "percent": 100.0,
+    "ms": ms_from_s(1.0),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +54,7 @@ class Limit:
         quantity: One of ``QUANTITIES``.
         bound: Whether the value is the largest (``max``) or smallest (``min``) allowed.
         value: The limit, in its unit.
-        unit: ``mm``, ``deg`` or ``percent``, as the quantity's name says.
+        unit: ``mm``, ``deg``, ``percent`` or ``ms``, as the quantity's name says.
 
     Raises:
         ValueError: Unknown quantity, or a unit that is not the quantity's.
@@ -133,6 +142,7 @@ class Judgement:
         alerts: What the reader must know, worst first.
         split: How the captures were parted into fitting and judging, one line.
         budget: The uncertainty budget of the captures that judge, or None.
+        quantities: Named figures of the captures that judge, with their definitions; of groups of them too.
     """
 
     registration: Registration | None
@@ -146,6 +156,7 @@ class Judgement:
     alerts: tuple[Alert, ...]
     split: str
     budget: Budget | None = None
+    quantities: tuple[Quantity, ...] = ()
 
 
 _FOLDS = 5
@@ -183,16 +194,17 @@ def judge(
     if not run_completed:
         alerts.append(Alert("warning", "the run did not reach its end: the figures cover only what was taken"))
     try:
-        registration, fitted_on, table, split = _register_and_judge(obs, gantry_sigma_m, nominal)
+        registration, fitted_on, judged, table, split = _register_and_judge(obs, gantry_sigma_m, nominal)
     except RegistrationError as error:
         alerts.append(Alert("error", f"no registration, hence no accuracy: {error}"))
-        verdicts = tuple(_limit_verdict(limit, None, found) for limit in limits)
+        verdicts = tuple(_limit_verdict(limit, None, found, ()) for limit in limits)
         return Judgement(
             None, None, None, None, None, found, verdicts, _overall(verdicts), _sorted(alerts), "nothing to judge"
         )
     in_sample = error_table(fitted_on, registration)
     summary = summarise(table, rng)
-    verdicts = tuple(_limit_verdict(limit, summary, found) for limit in limits)
+    named = quantities(judged, table, registration, rng)
+    verdicts = tuple(_limit_verdict(limit, summary, found, named) for limit in limits)
     alerts += _registration_alerts(registration) + _summary_alerts(summary)
     shared = _places_of_both_roles(obs)
     if shared:
@@ -212,13 +224,14 @@ def judge(
         verdict=_overall(verdicts),
         alerts=_sorted(alerts),
         split=split,
+        quantities=named,
     )
 
 
 def _register_and_judge(
     obs: Observations, gantry_sigma_m: float, nominal: Pose | None
-) -> tuple[Registration, Observations, ErrorTable, str]:
-    """Registration, the captures it was fitted on, the held-out errors, and how they were parted."""
+) -> tuple[Registration, Observations, Observations, ErrorTable, str]:
+    """Registration, the captures it was fitted on, those that judge with their errors, and how they were parted."""
     registers = obs.has_role("register")
     judges = ~registers
     if registers.any() and judges.any():
@@ -228,7 +241,8 @@ def _register_and_judge(
             f"registered on {len(np.unique(obs.station[registers]))} stations, "
             f"judged on {len(np.unique(obs.station[judges]))} others"
         )
-        return registration, fitted_on, error_table(obs.select(judges), registration), split
+        judged = obs.select(judges)
+        return registration, fitted_on, judged, error_table(judged, registration), split
     registration = fit_registration(obs, gantry_sigma_m=gantry_sigma_m, nominal=nominal)
     places = np.unique(obs.place[obs.is_solved])
     if len(places) < 2 * LEAST_STATIONS:
@@ -239,16 +253,17 @@ def _register_and_judge(
     # Neighbours in time go to different folds, so that a drift does not hide in one.
     fold_of_place = dict(zip(places.tolist(), (np.arange(len(places)) % _FOLDS).tolist(), strict=True))
     fold = np.array([fold_of_place.get(place, 0) for place in obs.place.tolist()])
-    parts = []
+    parts, rows = [], []
     for k in range(_FOLDS):
         if (fold == k).any():
             held_out = obs.select(fold == k)
             others = fit_registration(obs.select(fold != k), gantry_sigma_m=gantry_sigma_m, nominal=nominal)
             parts.append(error_table(held_out, others))
+            rows.append(np.flatnonzero(fold == k))
     split = (
         f"no stations set apart: each fifth of {len(places)} places judged by a registration on the other four fifths"
     )
-    return registration, obs, concatenated(parts), split
+    return registration, obs, obs, concatenated(parts, rows), split
 
 
 def _places_of_both_roles(obs: Observations) -> int:
@@ -256,18 +271,26 @@ def _places_of_both_roles(obs: Observations) -> int:
     return len(set(obs.place[registers].tolist()) & set(obs.place[~registers].tolist()))
 
 
-def _limit_verdict(limit: Limit, summary: AccuracySummary | None, found: Availability) -> LimitVerdict:
+def _limit_verdict(
+    limit: Limit, summary: AccuracySummary | None, found: Availability, named: Sequence[Quantity]
+) -> LimitVerdict:
     component, statistic, unit = QUANTITIES[limit.quantity]
+    raw = Estimate(float("nan"), 0.0, float("inf"), 0, 0, "no errors to judge")
     if component == "availability":
-        estimate = found.fraction.scaled(100.0)
-    elif summary is None:
-        nothing = Estimate(float("nan"), 0.0, float("inf"), 0, 0, "no errors to judge")
-        estimate = nothing
-    else:
-        raw: Estimate = getattr(summary.components[component], statistic)
-        estimate = raw.scaled(mm_from_m(1.0) if unit == "mm" else deg_from_rad(1.0))
+        raw = found.fraction
+    elif component == "quantity":
+        raw = next((_magnitude(q.estimate) for q in named if q.key == statistic and not q.group), raw)
+    elif summary is not None:
+        raw = getattr(summary.components[component], statistic)
+    estimate = raw.scaled(_FACTORS[unit])
     verdict, reason = _compared(limit, estimate)
     return LimitVerdict(limit, estimate.value, estimate.low, estimate.high, estimate.station_count, verdict, reason)
+
+
+def _magnitude(found: Estimate) -> Estimate:
+    """The absolute value of a signed figure: a limit bounds it on both sides."""
+    low = 0.0 if found.low <= 0.0 <= found.high else min(abs(found.low), abs(found.high))
+    return replace(found, value=abs(found.value), low=low, high=max(abs(found.low), abs(found.high)))
 
 
 def _compared(limit: Limit, found: Estimate) -> tuple[Verdict, str]:

@@ -41,9 +41,9 @@ def quantile_interval(sizes: FloatArray, level: float, clusters: Clusters) -> Es
     if upper > trials:
         needed = int(np.ceil(np.log(TAIL) / np.log(level)))
         note = f"worth {trials} independent captures: {needed} are needed to bound the {100.0 * level:.0f}th percentile"
-        return clusters.estimate(value, min(low, value), np.inf, note)
+        return clusters.estimate(value, min(low, value), np.inf, note, trials)
     high = float(ordered[int(np.ceil(upper / trials * n)) - 1])
-    return clusters.estimate(value, min(low, value), max(high, value))
+    return clusters.estimate(value, min(low, value), max(high, value), worth=trials)
 
 
 def max_interval(sizes: FloatArray, clusters: Clusters) -> Estimate:
@@ -60,13 +60,40 @@ def max_interval(sizes: FloatArray, clusters: Clusters) -> Estimate:
     value = float(sizes.max())
     trials = int(worth(sizes, clusters))
     if trials >= _LEAST_FOR_MAX:
-        return clusters.estimate(value, value, value)
+        return clusters.estimate(value, value, value, worth=trials)
     covered = 100.0 * (2.0 * TAIL) ** (1.0 / trials)
     note = (
         f"worth {trials} independent captures: {covered:.0f} % of all errors lie below it with 95 % confidence, "
         f"{_LEAST_FOR_MAX} are needed for 95 %"
     )
-    return clusters.estimate(value, value, np.inf, note)
+    return clusters.estimate(value, value, np.inf, note, trials)
+
+
+def tolerance_bound(sizes: FloatArray, level: float, clusters: Clusters) -> Estimate:
+    """The value below which a part of all captures lies with 95 % confidence, every place counted as one.
+
+    Args:
+        sizes: Absolute values, shape (n,), n >= 1.
+        level: The part, between 0 and 1.
+        clusters: Their places.
+
+    Returns:
+        Value and upper end: the bound; lower end: what the quantile exceeds with 95 % confidence. With too few places
+        the value is the largest seen and the upper end infinite.
+    """
+    from scipy import stats
+
+    n, trials = len(sizes), clusters.count
+    ordered = np.sort(sizes)
+    upper = int(stats.binom.ppf(1.0 - 2.0 * TAIL, trials, level)) + 1
+    lower = int(stats.binom.ppf(2.0 * TAIL, trials, level))
+    low = float(ordered[int(np.floor((lower - 1) / trials * n))]) if lower >= 1 else 0.0
+    if upper > trials:
+        needed = int(np.ceil(np.log(2.0 * TAIL) / np.log(level)))
+        note = f"{trials} places: {needed} are needed to bound {100.0 * level:.0f} % of captures with 95 % confidence"
+        return clusters.estimate(float(ordered[-1]), low, np.inf, note, trials)
+    bound = float(ordered[int(np.ceil(upper / trials * n)) - 1])
+    return clusters.estimate(bound, low, bound, worth=trials)
 
 
 def fraction_interval(successes: NDArray[np.bool_], clusters: Clusters) -> Estimate:
@@ -87,4 +114,4 @@ def fraction_interval(successes: NDArray[np.bool_], clusters: Clusters) -> Estim
     k = value * trials
     low = float(stats.beta.ppf(TAIL, k, trials - k + 1.0)) if k > 0.0 else 0.0
     high = float(stats.beta.ppf(1.0 - TAIL, k + 1.0, trials - k)) if k < trials else 1.0
-    return clusters.estimate(value, low, high)
+    return clusters.estimate(value, low, high, worth=trials)

@@ -176,19 +176,20 @@ def error_table(obs: Observations, registration: Registration) -> ErrorTable:
     )
 
 
-def concatenated(parts: Sequence[ErrorTable]) -> ErrorTable:
-    """Put tables of different captures together, in the order of their instants.
+def concatenated(parts: Sequence[ErrorTable], rows: Sequence[NDArray[np.intp]]) -> ErrorTable:
+    """Put tables of different captures together, in a wanted order.
 
     The doubts of different registrations are taken as one and the same draw: the cautious reading for folds that share
     most of their stations.
 
     Args:
         parts: At least one table.
+        rows: Where the captures of each part go, together a permutation.
 
     Returns:
         One table.
     """
-    order = np.argsort(np.concatenate([part.t_ns for part in parts]), kind="stable")
+    order = np.argsort(np.concatenate(rows))
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ErrorTable.__dataclass_fields__

@@ -81,10 +81,11 @@ def test_angles_of_view() -> None:
     assert np.isclose(np.cos(table.view_angle_rad[0]), z @ t_m / np.linalg.norm(t_m), rtol=1e-9)
 
 
-def test_concatenated_orders_by_time() -> None:
+def test_concatenated_puts_captures_back_where_they_were() -> None:
     obs = planted_observations("3T", 10, 2, np.random.default_rng(5), Noise())
     table = error_table(obs, fit_registration(obs))
     odd = np.arange(20) % 2 == 1
-    again = concatenated([table.select(odd), table.select(~odd)])
+    rows = [np.flatnonzero(odd), np.flatnonzero(~odd)]
+    again = concatenated([table.select(odd), table.select(~odd)], rows)
     for name in table.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(again, name), getattr(table, name))

@@ -104,7 +104,7 @@ def test_every_quantity_a_limit_may_name_has_words_and_its_unit(run: Run) -> Non
     assert len({row[0] for row in rows}) == len(QUANTITIES)
     for row, name in zip(rows, QUANTITIES, strict=True):
         assert isinstance(row[2], Number)
-        assert row[2].unit == {"mm": "mm", "deg": "deg", "percent": "%"}[QUANTITIES[name][2]]
+        assert row[2].unit == {"mm": "mm", "deg": "deg", "percent": "%", "ms": "ms"}[QUANTITIES[name][2]]
         assert str(row[1]).startswith("≥" if name == "availability_percent" else "≤")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.accuracy.judgement import QUANTITIES, Judgement, LimitVerdict
+from uvgs_bench.accuracy.quantity_catalogue import TEXTS
 from uvgs_bench.report.cells import Cell, Interval, Mark, Number, decimals_for
 from uvgs_bench.report.document import Alert, Alerts, Block, Column, Level, Paragraph, Section, Table
 from uvgs_bench.report.quantities import COMPONENT_WORDS, STATISTIC_WORDS, unit_word
@@ -43,11 +44,12 @@ def build(run: Run, judgement: Judgement) -> Section | None:
 def _row(verdict: LimitVerdict) -> tuple[Cell, ...]:
     limit = verdict.limit
     component, statistic, _ = QUANTITIES[limit.quantity]
-    words = (
-        STATISTIC_WORDS[statistic]
-        if component == "availability"
-        else f"{COMPONENT_WORDS[component].split(',')[0].split(' (')[0]}, {STATISTIC_WORDS[statistic]}"
-    )
+    if component == "availability":
+        words = STATISTIC_WORDS[statistic]
+    elif component == "quantity":
+        words = TEXTS[statistic].name
+    else:
+        words = f"{COMPONENT_WORDS[component].split(',')[0].split(' (')[0]}, {STATISTIC_WORDS[statistic]}"
     unit = unit_word(limit.unit)
     # An open interval says nothing about digits; three of the figure itself are then all that can be defended.
     width = 0.5 * (verdict.high - verdict.low)

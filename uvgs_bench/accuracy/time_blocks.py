@@ -1,0 +1,88 @@
+"""Captures that follow one another share errors: how long, what they are worth, and blocks that are independent.
+
+Source: A. Sokal, Monte Carlo methods in statistical mechanics, 3 (window of the autocorrelation time); H. R. Kunsch,
+The jackknife and the bootstrap for general stationary observations, 1989 (blocks).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.geometry import FloatArray
+
+# The sum of correlations is cut where the lag exceeds this many times the sum so far.
+_WINDOW = 5.0
+# Blocks this many times the integrated autocorrelation time: five correlation times of an exponential decay.
+_BLOCK = 2.5
+
+
+def correlation_time(values: FloatArray, stretch: NDArray[np.int64]) -> float:
+    """Integrated autocorrelation time ``1 + 2 sum rho_k`` of a series, in captures.
+
+    Args:
+        values: One component in the order of time, shape (n,).
+        stretch: Uninterrupted stretch of each capture, shape (n,): correlations are not sought across stretches.
+
+    Returns:
+        At least 1; the largest lag that is looked at is a third of the longest stretch.
+    """
+    centred = values - values.mean()
+    power = float(centred @ centred) / max(len(values), 1)
+    longest = int(np.unique(stretch, return_counts=True)[1].max()) if len(values) else 0
+    if power <= 0.0 or longest < 3:
+        return 1.0
+    time = 1.0
+    for lag in range(1, longest // 3 + 1):
+        same = stretch[lag:] == stretch[:-lag]
+        pairs = int(same.sum())
+        if pairs == 0:
+            break
+        # Divided by all captures of the series: pairs at long lags are few and noisy, so they weigh less.
+        time += 2.0 * float((centred[lag:] * centred[:-lag])[same].sum()) / (len(values) * power)
+        if lag >= _WINDOW * time:
+            break
+    return max(time, 1.0)
+
+
+def time_blocks(values: FloatArray, stretch: NDArray[np.int64]) -> tuple[NDArray[np.int64], float]:
+    """Blocks of captures long enough to be independent of one another.
+
+    Args:
+        values: Errors in the order of time, shape (n, d).
+        stretch: Uninterrupted stretch of each capture, shape (n,).
+
+    Returns:
+        Block of each capture, shape (n,), and how many independent captures they are worth (the component that stays
+        alike longest counts).
+    """
+    if len(values) == 0:
+        return np.empty(0, dtype=np.int64), 0.0
+    time = max(correlation_time(column, stretch) for column in values.T)
+    length = 1 if time <= 1.0 else int(np.ceil(_BLOCK * time))
+    block = np.empty(len(values), dtype=np.int64)
+    first = 0
+    for name in np.unique(stretch):
+        rows = np.flatnonzero(stretch == name)
+        # A rest shorter than half a block joins the block before it.
+        parts = max(1, round(len(rows) / length))
+        block[rows] = first + np.minimum(np.arange(len(rows)) * parts // len(rows), parts - 1)
+        first += parts
+    return block, len(values) / time
+
+
+def stretches(t_ns: NDArray[np.int64], session: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Uninterrupted stretches: a pause ten times the usual interval, or another run, begins a new one.
+
+    Args:
+        t_ns: Instants in ascending order within a run, shape (n,), ns.
+        session: Run of each capture, shape (n,).
+
+    Returns:
+        Number of the stretch of each capture, shape (n,), from 0.
+    """
+    if len(t_ns) < 2:
+        return np.zeros(len(t_ns), dtype=np.int64)
+    step = np.diff(t_ns)
+    begins = (step > 10 * max(int(np.median(step)), 1)) | (step < 0) | (np.diff(session) != 0)
+    return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)
