@@ -29,11 +29,11 @@ $(VENV)/.installed-test: $(VENV)/.installed
 # skipped, except in CI.
 FIRMWARE_PACKAGES := gcc-avr binutils-avr avr-libc libsimavr-dev g++ make
 system-packages:
-	@if command -v avr-g++ >/dev/null && command -v g++ >/dev/null && test -e /usr/include/simavr/sim_avr.h; then :; \
-	elif ! command -v apt-get >/dev/null; then echo "for the firmware's tests install: $(FIRMWARE_PACKAGES)"; \
-	elif test "$$(id -u)" = 0; then apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(FIRMWARE_PACKAGES); \
-	elif sudo -n true 2>/dev/null; then sudo apt-get update -qq && sudo DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(FIRMWARE_PACKAGES); \
-	else echo "for the firmware's tests: sudo apt-get install $(FIRMWARE_PACKAGES)"; fi
+	@if command -v avr-g++ >/dev/null && command -v g++ >/dev/null && test -e /usr/include/simavr/sim_avr.h; then exit 0; fi; \
+	as_root=; test "$$(id -u)" = 0 || as_root="sudo -n"; \
+	if command -v apt-get >/dev/null && $$as_root true 2>/dev/null && $$as_root apt-get update -qq \
+	  && $$as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(FIRMWARE_PACKAGES); then exit 0; fi; \
+	echo "The firmware's tests need what could not be installed here: $(FIRMWARE_PACKAGES)" >&2
 
 test: install-test system-packages
 	$(BIN)/ruff check .
