@@ -45,7 +45,9 @@ def pictures(tmp_path_factory) -> Path:
     rng = np.random.default_rng(2)
     for i in range(9):
         R = so3_exp(np.array([*rng.uniform(-0.6, 0.6, 2), rng.uniform(-0.2, 0.2)]))
-        place = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.42, 0.55)])
+        # Each to another side, so that none stays empty.
+        side = np.array([0.06 * (i % 3 - 1), 0.06 * (i // 3 - 1)])
+        place = np.array([*(side + rng.uniform(-0.015, 0.015, 2)), rng.uniform(0.42, 0.5)])
         cv2.imwrite(str(folder / f"view{i}.png"), draw(board, R, place - R @ centre))
     return folder
 
@@ -241,13 +243,21 @@ def test_what_the_calibration_does_to_a_beacon_is_said_by_range(pictures, tmp_pa
     beacon = REPOSITORY / "calib" / "beacons" / "tetra_small.toml"
     source = f"images:{pictures}"
     assert run("calibrate", source, "--board", BOARD, "--out", tmp_path / "c.yaml", "--beacon", beacon) == 0
-    printed = " ".join(capsys.readouterr().out.split())
+    printed_first = capsys.readouterr().out
+    printed = " ".join(printed_first.split())
     assert "facing the camera, 1σ" in printed
     assert "LEDs ±0.05 px: mm" in printed
     # The same in the file, once it is written, and as numbers.
     assert run("camera", "show", tmp_path / "c.yaml", "--beacon", beacon, "--json") == 0
     rows = json.loads(capsys.readouterr().out)["pose"]["ranges"]
     assert [row["range_m"] for row in rows] == [0.5, 1.0, 2.0, 4.0]
+    assert run("camera", "show", tmp_path / "c.yaml", "--beacon", beacon) == 0
+    heading = "pose of tetra_small facing"
+    of_calibrate, of_show = (text[text.index(heading) :].split("written")[0] for text in
+                             (printed_first, capsys.readouterr().out))  # fmt: skip
+    # What the halves say of the deviations is kept in the file, so that both say the same.
+    assert of_show.split() == of_calibrate.split()
+    assert "disagree" in of_show or read_calibration(tmp_path / "c.yaml").doubt_factor == 1.0
     far, near = rows[2], rows[1]
     # Lateral noise grows with the distance; that of the range with its square.
     assert far["noise_sigma_mm"][0] == pytest.approx(2.0 * near["noise_sigma_mm"][0], rel=0.2)

@@ -80,6 +80,7 @@ def test_distances_are_as_good_as_they_say(by, worst_mm):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("by", "worst_mm"), [("board", 0.05), ("gantry", 0.07), ("free", 0.05)])
 def test_distances_are_as_good_as_they_say_in_long(by, worst_mm):
     check_coverage(by, 500, worst_mm, 0.015)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -58,9 +59,11 @@ class Calibration:
             translation m, camera axes), shape (P + 6, P + 6); None when unknown. It carries the projection
             uncertainty: boards move along when the lens changes.
         verdict: What it may be used for; None when nobody judged it.
+        halves_ratio: How many times more two halves of the pictures disagree than their covariances predict; None when
+            nobody compared them.
 
     Raises:
-        CalibrationError: The covariance has another shape, is not finite, not symmetric, or has a negative variance.
+        CalibrationError: The ratio is negative or not finite; or the covariance has another shape, is not finite, not symmetric, or has a negative variance.
     """
 
     lens: Lens
@@ -74,8 +77,11 @@ class Calibration:
     notes: dict[str, str] = field(default_factory=dict)
     joint_covariance: FloatArray | None = None
     verdict: Verdict | None = None
+    halves_ratio: float | None = None
 
     def __post_init__(self) -> None:
+        if self.halves_ratio is not None and not 0.0 <= self.halves_ratio < inf:
+            raise CalibrationError(f"the ratio of the halves is {self.halves_ratio}, expected a number from 0 on")
         size = self.lens.parameters.size
         if self.joint_covariance is not None:
             joint = read_only(self.joint_covariance)
@@ -105,6 +111,11 @@ class Calibration:
     def sigmas(self) -> FloatArray | None:
         """Standard deviation of each parameter, shape (P,), or None when unknown."""
         return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
+
+    @property
+    def doubt_factor(self) -> float:
+        """How many times the deviations are too small by the evidence of two halves, at least 1; 1 when unknown."""
+        return 1.0 if self.halves_ratio is None else max(1.0, self.halves_ratio)
 
     @property
     def rms_per_axis_px(self) -> float | None:

@@ -234,6 +234,9 @@ def calibrate(
         plain = doubt_of(fitted.whole, corners, fitted.prior)
         all_kept = replace(fitted, bundle=fitted.whole, keep=np.ones_like(fitted.keep), doubt=plain)
         everything = _calibration(all_kept, None, camera_name, {})
+    halves = split_half(bundle, kept, fitted.prior, covered.share_radius_px)
+    if halves is not None:
+        calibration = replace(calibration, halves_ratio=halves.ratio)
     residuals = bundle.residuals_px(corners)
     seen_px = float(np.linalg.norm(kept.px - bundle.lens.parameters[2:4], axis=1).max())
     squares = kept.per_view(_squared_length(bundle.residuals_px(kept)))
@@ -256,7 +259,7 @@ def calibrate(
         (),
         read_only(fitted.doubt.view_noise_px),
         read_only([]) if unseen is None else unseen.view_rms_px,
-        split_half(bundle, kept, fitted.prior, covered.radius_px),
+        halves,
         residual_structure(bundle, kept),
         covered,
         shape,

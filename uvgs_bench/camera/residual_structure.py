@@ -14,15 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.camera.bundle import Bundle, Corners
+from uvgs_bench.camera.covered_radius import covered_radius
 from uvgs_bench.camera.image_circle import ImageCircle
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, read_only
 
 GRID_COLUMNS, GRID_ROWS = 10, 8
 _RINGS = 6
-# Share of the cells within a radius that must hold a corner for the radius to count as covered. Less than all: a few
-# cells stay empty by chance, and a lens does not change within one cell.
-_COVERED_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +58,8 @@ class Coverage:
         tilts_rad: Angle between each board and the plane of the picture, shape (V,), rad.
         distances_m: Distance of each board's middle, shape (V,), m.
         is_lit: Whether the middle of each cell lies in the image circle, shape (rows, columns); all without a circle.
+        share_radius_px: Distance up to which enough of the picture is covered, empty sides not minded, px.
+        short_sides: Sides of the picture by which the radius could be larger, the one that limits it first.
     """
 
     counts: NDArray[np.intp]
@@ -68,6 +68,8 @@ class Coverage:
     tilts_rad: FloatArray
     distances_m: FloatArray
     is_lit: NDArray[np.bool_]
+    share_radius_px: float
+    short_sides: tuple[str, ...]
 
 
 def residual_structure(bundle: Bundle, corners: Corners) -> ResidualStructure:
@@ -138,19 +140,22 @@ def coverage(bundle: Bundle, corners: Corners, circle: ImageCircle | None = None
     np.add.at(counts, (row, column), 1)
     sizes = corners.per_view(np.ones(len(corners.px)))
     middle = corners.per_view(bundle.points_in_camera(corners)) / sizes[:, None]
-    is_lit = np.ones(counts.size, dtype=np.bool_)
+    cells_px, is_lit = cell_centres_px(lens), np.ones(counts.size, dtype=np.bool_)
     whole_px = picture_radius_px(lens)
     if circle is not None:
-        is_lit = circle.contains(cell_centres_px(lens))
+        is_lit = circle.contains(cells_px)
         off_px = float(np.hypot(circle.u_px - lens.cx_px, circle.v_px - lens.cy_px))
         whole_px = min(whole_px, off_px + circle.radius_px)
+    covered = covered_radius(lens, cells_px, counts.ravel() > 0, is_lit, corners.px, circle)
     return Coverage(
         counts,
-        _covered_radius(lens, counts, corners, is_lit),
+        covered.radius_px,
         whole_px,
         read_only(np.arccos(np.clip(np.abs(bundle.R_cb[:, 2, 2]), 0.0, 1.0))),
         read_only(np.linalg.norm(middle, axis=1)),
         is_lit.reshape(counts.shape),
+        covered.share_radius_px,
+        covered.short_sides,
     )
 
 
@@ -167,18 +172,3 @@ def cell_centres_px(lens: Lens) -> FloatArray:
         (np.arange(GRID_ROWS) + 0.5) * lens.height_px / GRID_ROWS - 0.5,
     )
     return np.column_stack([u.ravel(), v.ravel()])
-
-
-def _covered_radius(lens: Lens, counts: NDArray[np.intp], corners: Corners, is_lit: NDArray[np.bool_]) -> float:
-    """Largest radius within which enough cells hold a corner, but not beyond the outermost corner."""
-    radius = np.linalg.norm(cell_centres_px(lens) - lens.parameters[2:4], axis=1)
-    order = np.argsort(radius, kind="stable")
-    order = order[is_lit[order]]
-    share = np.cumsum(counts.ravel()[order] > 0) / np.arange(1, len(order) + 1)
-    enough = np.flatnonzero(share >= _COVERED_SHARE)
-    seen = float(np.linalg.norm(corners.px - lens.parameters[2:4], axis=1).max())
-    if not enough.size:
-        return 0.0
-    # Half a cell's diagonal: the radius is that of a cell's centre.
-    half_cell = 0.5 * float(np.hypot(lens.width_px / GRID_COLUMNS, lens.height_px / GRID_ROWS))
-    return min(seen, float(radius[order[enough[-1]]]) + half_cell)

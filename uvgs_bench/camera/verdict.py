@@ -98,11 +98,13 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
     refused = _refusals(result)
     wishes = next_pictures(lens, result.coverage, result.calibration.view_count)
     edge = "corner" if result.coverage.is_lit.all() else "image circle's edge"
+    short = result.coverage.short_sides
+    towards = f" towards the {short[0]}" if short else ""
     if radius_px < LEAST_SHARE * whole_px:
         what = (
             f"the error stays below {LIMIT_PX} px only within {good_px:.0f} px of the principal point"
             if good_px <= covered_px
-            else f"boards covered the picture only within {covered_px:.0f} px of the principal point"
+            else f"boards covered the picture only within {covered_px:.0f} px of the principal point{towards}"
         )
         refused.append(f"{what}, less than {100 * LEAST_SHARE:.0f} % of the {whole_px:.0f} px to its {edge}")
     if result.split_half is None:
@@ -114,14 +116,18 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
     if radius_px >= WHOLE_SHARE * whole_px:
         reason = f"total error at most {worst:.2f} px, limit {LIMIT_PX} px, over {lens.width_px}x{lens.height_px} px"
         return Verdict("usable", radius_px, (reason, *_remarks(result)), wishes)
-    bound = "boards were seen no farther out" if covered_px < good_px else f"beyond, the error exceeds {LIMIT_PX} px"
+    bound = (
+        f"boards were seen no farther out{towards}"
+        if covered_px < good_px
+        else f"beyond, the error exceeds {LIMIT_PX} px"
+    )
     reason = f"total error at most {worst:.2f} px within {radius_px:.0f} px of the principal point; {bound}"
     return Verdict("usable_within_radius", radius_px, (reason, *_remarks(result)), wishes)
 
 
 def doubt_factor(result: CalibrationResult) -> float:
     """How many times the deviations are too small by the evidence of two halves, at least 1."""
-    return max(1.0, result.split_half.ratio) if result.split_half is not None else 1.0
+    return result.calibration.doubt_factor
 
 
 def good_radius_px(result: CalibrationResult) -> float:
@@ -254,8 +260,8 @@ def next_pictures(lens: Lens, covered: Coverage, view_count: int) -> tuple[str, 
         if empty.any():
             place = cell_centres_px(lens)[empty] / [lens.width_px, lens.height_px]
             words = [_place(u, v) for u, v in place]
-            ranked = sorted(set(words), key=lambda word: (-words.count(word), word))
-            said.append(f"the board filling the {', '.join(ranked[:3])} of the picture")
+            ranked = sorted(set(words) - set(covered.short_sides), key=lambda word: (-words.count(word), word))
+            said.append(f"the board filling the {', '.join([*covered.short_sides, *ranked][:3])} of the picture")
     if float(covered.distances_m.max()) < WISHED_REACH * float(covered.distances_m.min()):
         near = 0.5 * float(np.median(covered.distances_m))
         said.append(f"some closer, about {near:.2f} m away: all boards were at nearly one distance")

@@ -32,22 +32,22 @@ def pose_summary(calibration: Calibration, beacon: Beacon) -> dict[str, object]:
         for part, sigmas in (("calibration", doubt.calibration_sigmas), ("noise", doubt.noise_sigmas)):
             row[f"{part}_sigma_mm"] = np.asarray(mm_from_m(sigmas[3:])).tolist()
             row[f"{part}_sigma_mrad"] = np.asarray(mrad_from_rad(sigmas[:3])).tolist()
-    return {"beacon": beacon.name, "led_noise_px": LED_NOISE_PX, "ranges": rows}
+    factor = calibration.doubt_factor if calibration.halves_ratio is not None else None
+    return {"beacon": beacon.name, "led_noise_px": LED_NOISE_PX, "doubt_factor": factor, "ranges": rows}
 
 
-def print_pose_summary(calibration: Calibration, beacon: Beacon, too_small: float = 1.0) -> None:
+def print_pose_summary(calibration: Calibration, beacon: Beacon) -> None:
     """Print the same.
 
     Args:
         calibration: The calibration.
         beacon: The beacon.
-        too_small: How many times its deviations are too small by the evidence of two halves of the pictures.
     """
     from rich.table import Table
 
     from uvgs_bench.cli.console import out
 
-    found = pose_summary(calibration, beacon)
+    found, too_small = pose_summary(calibration, beacon), calibration.doubt_factor
     out.print(f"pose of {beacon.name} facing the camera, 1σ; what the calibration does is the same in every picture",
               markup=False)  # fmt: skip
     table = Table(box=None, pad_edge=False)

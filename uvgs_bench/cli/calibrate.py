@@ -58,7 +58,6 @@ def calibrate(
     file is written unless --force is given; it then carries the verdict. A report asked for is written in any case.
     """
     from uvgs_bench.camera import LENSES
-    from uvgs_bench.camera.verdict import doubt_factor
     from uvgs_bench.cli.beacon_pose import pose_summary, print_pose_summary
     from uvgs_bench.cli.console import console, emit_json, print_path, progress_sink
     from uvgs_bench.cli.live_views import live_sink
@@ -99,7 +98,7 @@ def calibrate(
         _show(result)
         _show_verdict(verdict)
         if carried is not None:
-            print_pose_summary(result.calibration, carried, doubt_factor(result))
+            print_pose_summary(result.calibration, carried)
     is_written = verdict.is_usable or force
     if is_written:
         write_calibration(out, result.calibration, force=force)

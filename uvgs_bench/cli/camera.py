@@ -221,6 +221,7 @@ def _summary(calibration: Calibration) -> dict[str, object]:
         "rms_px": calibration.rms_px,
         "rms_per_axis_px": calibration.rms_per_axis_px,
         "held_out_rms_px": calibration.held_out_rms_px,
+        "halves_ratio": calibration.halves_ratio,
         "view_count": calibration.view_count,
         "corner_count": calibration.corner_count,
         "rejected_count": calibration.rejected_count,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.fitting import CalibrationResult
-from uvgs_bench.camera.verdict import doubt_factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +32,7 @@ class CalibrationEvidence:
     @property
     def too_small(self) -> float | None:
         """How many times the deviations are too small by the evidence of two halves, at least 1; None when unknown."""
-        if self.result is None or self.result.split_half is None:
-            return None
-        return doubt_factor(self.result)
+        return None if self.calibration.halves_ratio is None else self.calibration.doubt_factor
 
 
 def worst_views(result: CalibrationResult, count: int) -> tuple[int, ...]:

@@ -82,7 +82,7 @@ def _banners(evidence: CalibrationEvidence) -> tuple[Alert, ...]:
         banners.append(Alert("warning", text))
     if evidence.result is None:
         text = (
-            "Made from the camera file alone. Residuals, coverage and the comparison of halves need the pictures: "
+            "Made from the camera file alone. Residuals, coverage and the map of two halves need the pictures: "
             "calibrate again with --report."
         )
         banners.append(Alert("info", text))

@@ -73,6 +73,7 @@ class _Doubt:
     next_pictures: list[str] = field(default_factory=list)
     # Of the parameters and the mean twist of the boards: the projection uncertainty at any pixel and distance.
     joint_covariance: _Matrix | None = None
+    halves_ratio: float | None = None
 
 
 def read_calibration(path: Path | str) -> Calibration:
@@ -117,9 +118,11 @@ def read_calibration(path: Path | str) -> Calibration:
             None
             if doubt.verdict is None
             else Verdict(doubt.verdict, doubt.usable_radius_px, tuple(doubt.reasons), tuple(doubt.next_pictures)),
+            doubt.halves_ratio,
         )
     except CalibrationError as error:
-        key = "uvgs.verdict" if "verdict" in str(error) else "uvgs.covariance"
+        words = {"verdict": "uvgs.verdict", "halves": "uvgs.halves_ratio"}
+        key = next((key for word, key in words.items() if word in str(error)), "uvgs.covariance")
         raise ConfigError(str(error), str(path), key) from None
 
 
@@ -152,7 +155,7 @@ def calibration_text(calibration: Calibration) -> str:
     doubt["parameters"] = list(lens.parameter_names)
     if calibration.covariance is not None:
         doubt["covariance"] = _matrix(calibration.covariance)
-    for key in ("rms_px", "held_out_rms_px"):
+    for key in ("rms_px", "held_out_rms_px", "halves_ratio"):
         value = getattr(calibration, key)
         # A held-out error is infinite when the lens could not see a corner; that is no number for a file.
         if value is not None and np.isfinite(value):

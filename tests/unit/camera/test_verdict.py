@@ -12,6 +12,8 @@ import pytest
 from uvgs_bench.camera import BoardView, Calibration, Lens, calibrate, find_board
 from uvgs_bench.camera.boards import Board
 from uvgs_bench.camera.calibration import Verdict
+from uvgs_bench.camera.covered_radius import covered_radius
+from uvgs_bench.camera.image_circle import ImageCircle
 from uvgs_bench.camera.projection_uncertainty import lateral_uncertainty, projection_uncertainty, worst_sigma
 from uvgs_bench.camera.verdict import LIMIT_PX, total_error_px
 from uvgs_bench.errors import CalibrationError
@@ -82,6 +84,54 @@ def test_boards_in_the_middle_only_make_the_middle_usable():
     assert any("corner" in wish for wish in verdict.next_pictures)
 
 
+def test_a_side_left_empty_limits_the_radius_and_is_named():
+    views = [view for view in simulated(40) if view.px[:, 0].min() > 470.0]
+    assert len(views) >= 10
+    result = calibrate(views, "plumb_bob")
+    covered, verdict = result.coverage, result.calibration.verdict
+    middle = result.calibration.lens.parameters[:4][2:]
+    to_the_left_px = max(float(middle[0] - view.px[:, 0].min()) for view in views)
+    # The side spans 22.5 deg to either hand, where a corner is 8 % farther off than it is to the left.
+    assert covered.radius_px <= 1.09 * to_the_left_px < 0.35 * covered.picture_radius_px
+    assert covered.short_sides[0] in ("left edge", "top left corner", "bottom left corner")
+    assert verdict is not None
+    assert verdict.word == "not_usable"
+    assert f"towards the {covered.short_sides[0]}" in verdict.reasons[0]
+    assert any(wish.startswith(f"the board filling the {covered.short_sides[0]}") for wish in verdict.next_pictures)
+
+
+def test_sides_reach_as_far_as_their_corners_or_the_edge():
+    cells = np.array([[u, v] for v in np.arange(60.0, 960.0, 120.0) for u in np.arange(64.0, 1280.0, 128.0)])
+    lens = Lens("equidistant", 1280, 960, np.array([400.0, 400.0, 639.5, 479.5, 0.0, 0.0, 0.0, 0.0]))
+    every, lit = np.ones(80, dtype=bool), np.ones(80, dtype=bool)
+    turns = np.arange(8) * np.pi / 4.0
+    edges_px = np.array([640.0, 480.0 * np.sqrt(2.0), 480.0, 480.0 * np.sqrt(2.0)] * 2)
+
+    def corners(share: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.cos(turns), np.sin(turns)]) * (share * edges_px)[:, None] + 639.5 - [0.0, 160.0]
+
+    whole = covered_radius(lens, cells, every, lit, corners(np.full(8, 0.91)), None)
+    assert whole.radius_px == whole.share_radius_px == pytest.approx(0.91 * 480.0 * np.sqrt(2.0))
+    assert whole.short_sides == ()
+    shares = np.full(8, 0.91)
+    shares[[4, 6]] = 0.6, 0.5
+    short = covered_radius(lens, cells, every, lit, corners(shares), None)
+    assert short.short_sides == ("top edge", "left edge")
+    assert short.radius_px == pytest.approx(240.0)
+    # Where the lens draws no picture there is no side to reach.
+    circle, middle = ImageCircle(639.5, 479.5, 240.0), np.array([639.5, 479.5])
+    inside = circle.contains(cells)
+    around = middle + 230.0 * np.column_stack([np.cos(turns), np.sin(turns)])
+    reached = covered_radius(lens, cells, inside, inside, around, circle)
+    assert reached.radius_px == pytest.approx(230.0)
+    assert reached.short_sides == ()
+    around[4] = middle - [100.0, 0.0]
+    assert covered_radius(lens, cells, inside, inside, around, circle).short_sides == ("left edge",)
+    # Every second cell empty: no radius.
+    half = np.arange(80) % 2 == 0
+    assert covered_radius(lens, cells, half, lit, corners(np.full(8, 0.91)), None).radius_px < 200.0
+
+
 def test_few_views_are_inconclusive_and_ask_for_more():
     verdict = verdict_of(simulated(5, noise_px=0.02))
     assert verdict.word == "inconclusive"
@@ -100,7 +150,8 @@ def test_a_lens_too_simple_for_the_camera_is_named():
     verdict = verdict_of(simulated(20, WIDE), "plumb_bob")
     assert verdict.word == "not_usable"
     assert any("does not describe this camera" in reason for reason in verdict.reasons)
-    assert verdict_of(simulated(20, WIDE), "equidistant").is_usable
+    # Boards of a fifth of the picture: twenty of them leave its top edge empty.
+    assert verdict_of(simulated(40, WIDE), "equidistant").is_usable
 
 
 def test_noisy_corners_are_never_called_usable_as_a_whole():

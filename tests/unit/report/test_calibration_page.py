@@ -188,11 +188,12 @@ def test_disagreeing_halves_widen_what_people_sign(
 ) -> None:
     chapters(monkeypatch, "pose")
     assert result.split_half is not None
-    honest = replace(result, split_half=replace(result.split_half, ratio=0.8))
-    doubted = replace(result, split_half=replace(result.split_half, ratio=3.0))
+    honest, doubted = (
+        replace(result, calibration=replace(result.calibration, halves_ratio=ratio)) for ratio in (0.8, 3.0)
+    )
     widths = []
     for known in (honest, doubted):
-        document = build_calibration_document(replace(evidence, result=known))
+        document = build_calibration_document(replace(evidence, calibration=known.calibration, result=known))
         focal = next(figure for figure in document.key_figures if figure.label == "Focal length fx")
         assert focal.interval is not None
         widths.append(focal.interval.high - focal.interval.low)  # type: ignore[operator]

@@ -39,7 +39,9 @@ def example(model: str) -> Calibration:
     root = rng.normal(0, 1e-3, (count, count))
     covariance = root @ root.T
     lens = Lens(model, 1280, 960, parameters)
-    return Calibration(lens, "cam é", covariance, 0.2449, 0.25, 13, 702, 4, {"board": "chessboard_9x6"})
+    return Calibration(
+        lens, "cam é", covariance, 0.2449, 0.25, 13, 702, 4, {"board": "chessboard_9x6"}, halves_ratio=2.25
+    )
 
 
 @pytest.mark.parametrize("model", list(LENSES))
@@ -60,6 +62,7 @@ def test_every_lens_comes_back_bit_for_bit(tmp_path, model):
         702,
         4,
     )
+    assert after.halves_ratio == after.doubt_factor == 2.25
     assert after.notes == before.notes
     assert after.camera_name == "cam é"
 
@@ -129,6 +132,7 @@ def test_broken_file_is_refused_naming_file_and_key(tmp_path, old, new, key, sai
         ("schema: 1", "schema: 2", "expected 1"),
         ("parameters: [fx, fy", "parameters: [fy, fx", "expected"),
         ("rms_px:", "rmse_px:", "did you mean 'rms_px'"),
+        ("halves_ratio: 2.25", "halves_ratio: -1.0", "uvgs.halves_ratio.*expected a number from 0 on"),
     ],
 )
 def test_broken_doubt_is_refused(tmp_path, old, new, said):
@@ -138,6 +142,14 @@ def test_broken_doubt_is_refused(tmp_path, old, new, said):
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigError, match=said):
         read_calibration(path)
+
+
+def test_a_file_that_never_held_halves_against_each_other_is_read(tmp_path):
+    path = tmp_path / "older.yaml"
+    path.write_text(calibration_text(example("fov")).replace("  halves_ratio: 2.25\n", ""))
+    older = read_calibration(path)
+    assert older.halves_ratio is None
+    assert older.doubt_factor == 1.0
 
 
 @pytest.mark.parametrize("content", ["- 1\n- 2\n", "a: [1,\n", "", "just words"])

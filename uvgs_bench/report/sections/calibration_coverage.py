@@ -40,6 +40,7 @@ def _figures(result: CalibrationResult) -> Table:
     rows = (
         ("Covered radius", Number(covered.radius_px, 0, "px")),
         ("Farthest the picture reaches", Number(covered.picture_radius_px, 0, "px")),
+        ("Side that limits it", (covered.short_sides or ("no single side",))[0]),
         (f"Cells without a corner, of {int(covered.is_lit.sum())}", Number(empty, 0)),
         ("Tilt, smallest", Number(float(tilts.min()), 1, "deg")),
         ("Tilt, largest", Number(float(tilts.max()), 1, "deg")),
