@@ -129,7 +129,7 @@ def worth(values: FloatArray, clusters: Clusters) -> float:
     """How many independent captures the captures are worth, by the intraclass correlation of a quantity.
 
     Args:
-        values: The quantity, shape (n,).
+        values: The quantity, shape (n,), or vectors, shape (n, d).
         clusters: Its places.
 
     Returns:
@@ -138,7 +138,7 @@ def worth(values: FloatArray, clusters: Clusters) -> float:
     n, S = clusters.captures, clusters.count
     if n == S or S < 2:
         return float(S)
-    within, between, size = mean_squares(values[:, None], clusters)
+    within, between, size = mean_squares(values.reshape(n, -1), clusters)
     if within + between <= 0.0:
         return float(S)
     correlation = min(max((between - within) / (between + (size - 1.0) * within), 0.0), 1.0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uvgs_bench.accuracy.clusters import TAIL, Clusters, Estimate, mean_squares
+from uvgs_bench.accuracy.clusters import TAIL, Clusters, Estimate, mean_squares, worth
 from uvgs_bench.geometry import FloatArray
 
 
@@ -73,7 +73,8 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
     shared_ms = float(np.linalg.norm(2.0 * np.einsum("nd,ndk->k", errors, factor) / n))
     shared_var = float(np.linalg.norm(2.0 * np.einsum("nd,ndk->k", centred, factor) / n))
     low, high = _log_interval(square, drawn.sigma_here(ms_here), m2, drawn.sigmas(ms_drawn), shared_ms)
-    rms = clusters.estimate(np.sqrt(square), np.sqrt(max(low - shared_square, 0.0)), np.sqrt(high))
+    counted = worth(errors, clusters)
+    rms = clusters.estimate(np.sqrt(square), np.sqrt(max(low - shared_square, 0.0)), np.sqrt(high), worth=counted)
     low, high = _log_interval(variance, drawn.sigma_here(var_here), v, drawn.sigmas(var_drawn), shared_var)
     # The mean follows the places at hand: the population form is too small by the variance of the mean.
     mean_variance = sum(
@@ -81,16 +82,18 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
     )
     grown = 1.0 + mean_variance / max(variance, 1e-300)
     low, high = low * grown, high * grown
-    spread = clusters.estimate(np.sqrt(variance), np.sqrt(max(low - shared_variance, 0.0)), np.sqrt(high))
+    ends = np.sqrt(max(low - shared_variance, 0.0)), np.sqrt(high)
+    spread = clusters.estimate(np.sqrt(variance), *ends, worth=counted)
     if d == 1:
         sigma = drawn.sigma_here(np.array([0.0, 1.0, -mean[0]]))
         each = drawn.sigmas(np.column_stack([0.0 * ones, ones, -m[:, 0]]))
         q_low, q_high = _studentized((m[:, 0] - mean[0]), each)
         total = float(np.hypot(sigma, np.linalg.norm(shared_mean)))
-        bias = clusters.estimate(bias_value, bias_value - q_high * total, bias_value - q_low * total)
+        ends = bias_value - q_high * total, bias_value - q_low * total
+        bias = clusters.estimate(bias_value, *ends, worth=counted)
     else:
         radius = _mean_radius(m - mean, clusters.shifts @ shared_mean.T, S)
-        bias = clusters.estimate(bias_value, max(bias_value - radius, 0.0), bias_value + radius)
+        bias = clusters.estimate(bias_value, max(bias_value - radius, 0.0), bias_value + radius, worth=counted)
     return MomentIntervals(bias, spread, rms)
 
 

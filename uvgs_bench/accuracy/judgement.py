@@ -374,14 +374,13 @@ def _summary_alerts(summary: AccuracySummary | None) -> list[Alert]:
             )
         )
     check = summary.consistency
-    if not check.is_consistent:
-        mean = check.mean_nees_over_6.value
-        word = "too small" if mean > 1.0 else "too large"
+    if check.verdict != "consistent":
         alerts.append(
             Alert(
-                "warning",
-                f"the sensor's stated uncertainty is {word}: mean squared error over stated variance is {mean:.2f}, "
-                f"expected {check.band_low:.2f} to {check.band_high:.2f}",
+                "warning" if check.verdict == "inconsistent" else "note",
+                f"the sensor's stated uncertainty is {check.verdict} with its errors: {check.reason} (mean squared "
+                f"error over stated variance {check.mean_nees_over_6.value:.2f}, expected {check.band_low:.2f} to "
+                f"{check.band_high:.2f})",
             )
         )
     return alerts

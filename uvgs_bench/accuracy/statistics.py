@@ -25,6 +25,7 @@ __all__ = [
 ]
 
 Unit = Literal["m", "rad"]
+Honesty = Literal["consistent", "inconclusive", "inconsistent"]
 
 _COMPONENTS: dict[str, tuple[Unit, tuple[int, ...]]] = {
     "lateral_x": ("m", (0,)),
@@ -39,6 +40,8 @@ _COMPONENTS: dict[str, tuple[Unit, tuple[int, ...]]] = {
 }
 _DOF = 6
 _OUTLIER = 5.0
+# Mean squared errors over stated variances between these: sigmas right within the root of 2.
+_TRUSTED = (0.5, 2.0)
 # Median of the chi-squared distribution with 6 degrees of freedom.
 _MEDIAN_NEES = 5.348
 
@@ -102,13 +105,16 @@ class Consistency:
             overconfident, with its interval over stations.
         band_low: Lower end of the 95 % band expected for as many independent stations.
         band_high: Upper end.
-        is_consistent: Whether the interval meets the band.
+        verdict: ``consistent`` when the figure lies in the band and its interval shows stated sigmas to be right
+            within a factor of 1.4; ``inconsistent`` when the interval misses the band; else ``inconclusive``.
+        reason: The verdict in words, without its name.
     """
 
     mean_nees_over_6: Estimate
     band_low: float
     band_high: float
-    is_consistent: bool
+    verdict: Honesty
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,4 +221,21 @@ def _consistency(solved: ErrorTable, clusters: Clusters) -> Consistency:
     # Captures of a place share errors, so the band is that of as many samples as there are places.
     freedom = _DOF * clusters.count
     band = [float(stats.chi2.ppf(q, freedom)) / freedom for q in (0.025, 0.975)]
-    return Consistency(mean, band[0], band[1], mean.low <= band[1] and mean.high >= band[0])
+    return Consistency(mean, band[0], band[1], *_honesty(mean, band[0], band[1]))
+
+
+def _honesty(mean: Estimate, band_low: float, band_high: float) -> tuple[Honesty, str]:
+    """Meeting the band is not enough: a wide interval meets every band."""
+    if mean.low > band_high or mean.high < band_low:
+        word = "too small" if mean.value > 1.0 else "too large"
+        return (
+            "inconsistent",
+            f"stated sigmas are {word}, by a factor of about {max(mean.value, 1.0 / mean.value) ** 0.5:.2g}",
+        )
+    if not _TRUSTED[0] <= mean.low <= mean.high <= _TRUSTED[1]:
+        low, high = max(mean.low, 0.0) ** 0.5, mean.high**0.5
+        reach = f"{low:.2g} to {high:.2g}" if np.isfinite(high) else f"{low:.2g} or more"
+        return "inconclusive", f"actual sigmas may be {reach} times the stated ones: more places would tell"
+    if not band_low <= mean.value <= band_high:
+        return "inconclusive", "the interval only just meets the band: more places would tell"
+    return "consistent", "stated sigmas are right within a factor of 1.4"

@@ -134,8 +134,15 @@ def test_overconfident_covariance_is_reported() -> None:
     proud = changed(obs, covariance=obs.covariance / 9.0)
     found = judge(proud, [], np.random.default_rng(0), gantry_sigma_m=0.0)
     assert found.summary is not None
-    assert not found.summary.consistency.is_consistent
+    assert found.summary.consistency.verdict == "inconsistent"
     assert "too small" in texts(found)
+    few = judged(bench(places=9, every=2))
+    assert few.summary is not None
+    # Four places cannot show that sigmas are right, though nothing speaks against them.
+    assert few.summary.consistency.verdict == "inconclusive"
+    many = judge(obs, [], np.random.default_rng(0), gantry_sigma_m=0.0)
+    assert many.summary is not None
+    assert many.summary.consistency.verdict == "consistent"
     # Nine times the stated variance, diluted a little by the registration's share; 60 places know it to 7 %.
     assert found.summary.consistency.mean_nees_over_6.value == pytest.approx(8.0, abs=2.0)
 

@@ -146,8 +146,7 @@ def _context_table(summary: AccuracySummary, judgement: Judgement) -> Table:
         (
             "Mean NEES / 6",
             measured(nees.mean_nees_over_6, SCALES["1"], decimals_of([nees.mean_nees_over_6], 1.0, 2)),
-            f"expected {nees.band_low:.2f} … {nees.band_high:.2f}: the sensor's own covariance is "
-            + ("consistent with its errors" if nees.is_consistent else "not consistent with its errors"),
+            f"expected {nees.band_low:.2f} … {nees.band_high:.2f}: {nees.verdict}, {nees.reason}",
         ),
     )
     columns = (Column("Also"), Column("Value", is_numeric=True), Column("Meaning"))
