@@ -17,7 +17,6 @@ from uvgs_bench.accuracy.quantity_catalogue import LIMITABLE, TEXTS, Quantity
 from uvgs_bench.accuracy.two_clusters import two_cluster_quantities
 from uvgs_bench.geometry.se3 import so3_exp
 
-
 USUAL = Noise()
 
 
