@@ -40,6 +40,7 @@ class Blobs:
         peak_dn: Brightest pixel, shape (n,), DN.
         clipped_px2: Pixels at full scale, shape (n,).
         on_edge: Whether the blob touches the border of the picture, shape (n,).
+        width_px: Deviation of a Gaussian as wide as the spot, shape (n,), px.
     """
 
     centroid_px: FloatArray
@@ -52,6 +53,7 @@ class Blobs:
     peak_dn: FloatArray
     clipped_px2: FloatArray
     on_edge: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    width_px: FloatArray
 
     def __len__(self) -> int:
         return len(self.area_px2)
@@ -78,6 +80,7 @@ class Blobs:
             self.peak_dn[keep],
             self.clipped_px2[keep],
             self.on_edge[keep],
+            self.width_px[keep],
         )
 
 
@@ -197,9 +200,10 @@ def _measure(image: ImageArray, raw: ImageArray, table: FloatArray, full_scale: 
     height, width = raw.shape
     on_edge = (boxes[:, 0] <= 0) | (boxes[:, 1] <= 0) | (boxes[:, 2] >= width - 1) | (boxes[:, 3] >= height - 1)
     hue, saturation = _colours(image, boxes, full_scale)
+    width_px = np.where(weighted, measured[:, ck.WIDTH] / ck.WINDOW_RATIO, np.sqrt(area / ck.HALF_AREA))
     return Blobs(
         centroid, sigma, area, circularity, boxes, hue, saturation,
-        measured[:, ck.PEAK].copy(), measured[:, ck.CLIPPED].copy(), on_edge,
+        measured[:, ck.PEAK].copy(), measured[:, ck.CLIPPED].copy(), on_edge, width_px,
     )  # fmt: skip
 
 

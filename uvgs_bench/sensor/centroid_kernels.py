@@ -13,6 +13,8 @@ from uvgs_bench.sensor.capture import ImageArray
 
 # Window of the centroid over the width of the spot.
 WINDOW_RATIO = 1.4
+# Area above half height of a Gaussian over the square of its deviation, 2 pi ln 2.
+HALF_AREA = 4.355172180607204
 # What the rim of a clipped top adds to the deviation of a centroid, px, at a width of 1 px; falls with the width to the
 # power 1.5. By trial on drawn spots without noise; it swings with the height by a factor of two either way.
 CLIPPED_SIGMA_PX = 0.017
@@ -284,8 +286,8 @@ def _measure_one(
     y += y0
     if table[i, CLIPPED] > 0.0:
         # Half height of what is left and the clipped top bound areas of a Gaussian of the same width.
-        half_area = 4.355172180607204 * (table[i, WIDTH] / WINDOW_RATIO) ** 2
-        spot_px2 = max((half_area - table[i, CLIPPED]) / 4.355172180607204, 0.25)
+        half_area = HALF_AREA * (table[i, WIDTH] / WINDOW_RATIO) ** 2
+        spot_px2 = max((half_area - table[i, CLIPPED]) / HALF_AREA, 0.25)
         variance += CLIPPED_SIGMA_PX * CLIPPED_SIGMA_PX / spot_px2**1.5
     if is_uneven[i] and slope > 0.0:
         variance += _unevenness(image, x, y, s, table[i, BACKGROUND]) / (slope * slope)
@@ -373,8 +375,7 @@ def measure_blobs(
         table[i, BACKGROUND] = background
         if total <= 0.0:
             continue
-        # Area above half height of a Gaussian is 2 pi s^2 ln 2.
-        s = max(WINDOW_RATIO * sqrt(half_area / 4.355172180607204), 1.1)
+        s = max(WINDOW_RATIO * sqrt(half_area / HALF_AREA), 1.1)
         table[i, WIDTH] = s
         place[i, 0] = cx / total
         place[i, 1] = cy / total

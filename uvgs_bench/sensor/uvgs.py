@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.calibration import Calibration
-from uvgs_bench.sensor.blobs import NoBlobs, find_blobs
+from uvgs_bench.sensor.blobs import Blobs, NoBlobs, find_blobs
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.correspondence import NoMatch
+from uvgs_bench.sensor.correspondence import LedMatch, NoMatch
 from uvgs_bench.sensor.drawn_view import draw_view, facing_pose
-from uvgs_bench.sensor.fit import FitTables, estimate_of, fit_named
+from uvgs_bench.sensor.fit import Fit, FitTables, estimate_of, fit_named
 from uvgs_bench.sensor.looks import looks_of
+from uvgs_bench.sensor.merging import find_overlaps
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
 from uvgs_bench.sensor.selection import NEEDED, select_blobs
 from uvgs_bench.sensor.solution import solver
 from uvgs_bench.sensor.three_leds import match_with_prior
 from uvgs_bench.sensor.tracking import follow, is_trackable
+from uvgs_bench.sensor.validation import refusal_of_overlap
 
 
 def _no_clock() -> float:
@@ -109,16 +112,7 @@ class Uvgs:
         lap("correspondence")
         if isinstance(match, NoMatch):
             return miss("correspondence", match.reason, match.detail, len(chosen))
-        seen = np.flatnonzero(match.blob_of_led >= 0)
-        picked = match.blob_of_led[seen]
-        fit = fit_named(
-            self._tables,
-            seen,
-            chosen.centroid_px[picked],
-            chosen.sigma_px[picked],
-            match.start,
-            prior if match.needs_prior else None,
-        )
+        fit = self._fit(chosen, match, prior)
         lap("solve")
         refusal = fit.refusal
         if refusal is None:
@@ -130,6 +124,32 @@ class Uvgs:
         lap("validate")
         stage = "solve" if refusal.reason == "not_converged" else "validate"
         return miss(stage, refusal.reason, refusal.detail, len(chosen))
+
+    def _fit(self, chosen: Blobs, match: LedMatch, prior: PoseEstimate | None) -> Fit:
+        """Fit the named LEDs without those an unseen one may shine into; refused when too few are left."""
+        tables = self._tables
+        seen = np.flatnonzero(match.blob_of_led >= 0)
+        start = match.start
+        while True:
+            picked = match.blob_of_led[seen]
+            fit = fit_named(
+                tables,
+                seen,
+                chosen.centroid_px[picked],
+                chosen.sigma_px[picked],
+                start,
+                prior if match.needs_prior else None,
+            )
+            if fit.refusal is not None:
+                return fit
+            start = fit.camera_from_beacon
+            overlaps = find_overlaps(start, fit.noise, self._lens, tables.leds, seen, chosen.width_px[picked])
+            if not overlaps:
+                return fit
+            clear = np.setdiff1d(seen, [overlap.seen for overlap in overlaps])
+            if len(clear) < NEEDED:
+                return replace(fit, refusal=refusal_of_overlap(overlaps[0], len(clear), self.beacon))
+            seen = clear
 
     def warm_up(self, colour: bool = False) -> None:
         """Compile (or load) every kernel now, so that no live picture waits for it.

@@ -12,6 +12,7 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor import judging_kernels as jk
 from uvgs_bench.sensor.config import UvgsConfig
+from uvgs_bench.sensor.merging import Overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,3 +95,22 @@ def refusal_of(
             f"at most {config.max_chi2_per_dof * dof:.1f}",
         )
     return Refusal("degenerate", "the LEDs seen do not determine the pose")
+
+
+def refusal_of_overlap(overlap: Overlap, clear: int, beacon: Beacon) -> Refusal:
+    """Why a pose is not believed whose blobs may hold the light of two LEDs.
+
+    Args:
+        overlap: One of the doubted LEDs.
+        clear: How many LEDs are beyond doubt.
+        beacon: The beacon.
+
+    Returns:
+        The refusal.
+    """
+    seen, unseen = beacon.leds[overlap.seen].name, beacon.leds[overlap.unseen].name
+    return Refusal(
+        "merged_leds",
+        f"LED {unseen} is not seen and should shine {overlap.apart_px:.1f} px from {seen}; within "
+        f"{overlap.reach_px:.1f} px their light may be one blob, and only {clear} LEDs are clear of that",
+    )
