@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -81,6 +82,39 @@ def test_jog_moves_by_an_offset(uvgs) -> None:
     code, printed, _ = uvgs("jog", "Y=-4", "--home", "--speed-mm-min", "600", "--json")
     assert code == 0
     assert json.loads(printed)["position"] == {"X_mm": -1.0, "Y_mm": -5.0, "Z_mm": -1.0}
+
+
+def test_a_move_is_recorded_with_times(uvgs, tmp_path: Path) -> None:
+    track = tmp_path / "track.csv"
+    words = ("move", "X=-51", "--home", "--speed-mm-min", "300", "--record", str(track))
+    assert uvgs(*words)[0] == 0
+    names, *lines = track.read_text(encoding="utf-8").splitlines()
+    assert names == "t_ns,doubt_ns,X_mm,Y_mm,Z_mm"
+    rows = [[float(word) for word in line.split(",")] for line in lines]
+    assert rows[-1][2:] == [-51.0, -1.0, -1.0]
+    assert any(-50.0 < row[2] < -2.0 for row in rows)
+    for (t_ns, doubt_ns, x_mm, *_), (next_ns, next_doubt_ns, next_x_mm, *_) in itertools.pairwise(rows):
+        assert next_ns > t_ns
+        # 300 mm/min is 5 mm/s; the instants are known to their doubts, and a report has a thousandth of a millimetre.
+        assert abs(next_x_mm - x_mm) <= 5e-9 * (next_ns - t_ns + doubt_ns + next_doubt_ns) + 0.002
+    code, _, said = uvgs(*words)
+    assert code == 2
+    assert "track.csv: exists already; use --force" in said
+    assert "homing" not in said
+
+
+def test_a_broken_move_is_recorded_too(uvgs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    track = tmp_path / "track.csv"
+
+    def interrupted(gantry: GrblGantry, *_rest: object) -> None:
+        gantry.state()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(GrblGantry, "move_to", interrupted)
+    code, _, said = uvgs("jog", "X=-5", "--home", "--record", str(track))
+    assert code == 130
+    assert "the gantry was stopped" in said
+    assert len(track.read_text(encoding="utf-8").splitlines()) == 2
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,10 @@ Every command opens the port anew, and opening resets a controller: its position
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,6 +16,7 @@ import typer
 from uvgs_bench.cli.gantry_characterise import characterise
 from uvgs_bench.cli.gantry_door import Door, found, no_log, opened, print_state, with_door
 from uvgs_bench.cli.gantry_tools import ask, settings
+from uvgs_bench.cli.options import Force
 
 if TYPE_CHECKING:
     from uvgs_bench.devices.gantry import Axis, Gantry, GantryState
@@ -30,6 +34,10 @@ _Home = Annotated[bool, typer.Option("--home", help="Home first; without it the 
 _Speed = Annotated[
     float | None,
     typer.Option("--speed-mm-min", min=0.001, help="Feed along the path.  [default: as fast as every axis may go]"),
+]
+_Record = Annotated[
+    Path | None,
+    typer.Option("--record", help="CSV of the positions reported on the way, with their times; also of a broken move."),
 ]
 _Words = Annotated[list[str], typer.Argument(metavar="AXIS=VALUE...", help="Like X=-10 Y=-5.5: mm, or deg if rotary.")]
 
@@ -52,16 +60,30 @@ def home(door: Door) -> None:
 
 @app.command()
 @with_door
-def move(door: Door, words: _Words, home_first: _Home = False, speed_mm_min: _Speed = None) -> None:
+def move(
+    door: Door,
+    words: _Words,
+    home_first: _Home = False,
+    speed_mm_min: _Speed = None,
+    record: _Record = None,
+    force: Force = False,
+) -> None:
     """Home, then move in a straight line to machine positions; axes not named stay. Ctrl-C stops the motion first."""
-    _travel(door, words, speed_mm_min, is_homed_first=home_first, is_offset=False)
+    _travel(door, words, speed_mm_min, _Track(record, force), is_homed_first=home_first, is_offset=False)
 
 
 @app.command()
 @with_door
-def jog(door: Door, words: _Words, home_first: _Home = False, speed_mm_min: _Speed = None) -> None:
+def jog(
+    door: Door,
+    words: _Words,
+    home_first: _Home = False,
+    speed_mm_min: _Speed = None,
+    record: _Record = None,
+    force: Force = False,
+) -> None:
     """Home, then move by offsets. Ctrl-C stops the motion first."""
-    _travel(door, words, speed_mm_min, is_homed_first=home_first, is_offset=True)
+    _travel(door, words, speed_mm_min, _Track(record, force), is_homed_first=home_first, is_offset=True)
 
 
 @app.command()
@@ -86,8 +108,46 @@ def stop(door: Door) -> None:
         raise typer.Exit(int(ExitCode.HARDWARE))
 
 
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """Where the positions on the way are written; nowhere when there is no file."""
+
+    file: Path | None
+    force: bool
+
+    def check(self) -> None:
+        """Refuse a file that may not be replaced, before anything moves."""
+        if self.file is not None and self.file.exists() and not self.force:
+            from uvgs_bench.errors import ConfigError
+
+            raise ConfigError("exists already; use --force to replace it", str(self.file))
+
+    @contextmanager
+    def kept(self, gantry: Gantry) -> Iterator[None]:
+        """Write what the gantry reported within this, also when the move failed: the gantry is at rest by then."""
+        if self.file is None:
+            yield
+            return
+        from uvgs_bench.store.gantry_records import write_positions
+
+        with gantry.recording() as positions:
+            try:
+                yield
+            except BaseException:
+                gantry.close()
+                raise
+            finally:
+                write_positions(self.file, gantry.axes, positions, force=self.force)
+
+
 def _travel(
-    door: Door, words: Sequence[str], speed_mm_min: float | None, *, is_homed_first: bool, is_offset: bool
+    door: Door,
+    words: Sequence[str],
+    speed_mm_min: float | None,
+    track: _Track,
+    *,
+    is_homed_first: bool,
+    is_offset: bool,
 ) -> None:
     from uvgs_bench.errors import ConfigError
     from uvgs_bench.store.bench import read_bench
@@ -99,12 +159,15 @@ def _travel(
         raise ConfigError("opening the port resets the controller, so its position is unknown: add --home")
     if not is_offset:
         _check_named(axes, values)
+    track.check()
     speed = min(axes[i].max_speed for i in values) if speed_mm_min is None else mps_from_mm_min(speed_mm_min)
     with found(door) as setup, opened(setup) as gantry:
         target = _home(gantry).position.copy()
         for i, value in values.items():
             target[i] = target[i] + value if is_offset else value
-        print_state(gantry, gantry.move_to(target, speed), door.as_json)
+        with track.kept(gantry):
+            reached = gantry.move_to(target, speed)
+        print_state(gantry, reached, door.as_json)
 
 
 def _read_words(words: Sequence[str], axes: Sequence[Axis]) -> dict[int, float]:

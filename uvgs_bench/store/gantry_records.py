@@ -10,10 +10,11 @@ import numpy as np
 
 from uvgs_bench.accuracy.axis_calibration import axis_pairs, true_directions
 from uvgs_bench.devices.gantry.axes import Axis
+from uvgs_bench.devices.gantry.gantry import StampedPosition
 from uvgs_bench.errors import ConfigError
 from uvgs_bench.store.documents import SCHEMA_KEY, read_document, write_atomically
 from uvgs_bench.store.toml_text import toml_text
-from uvgs_bench.units import rad_from_mrad
+from uvgs_bench.units import deg_from_rad, mm_from_m, rad_from_mrad
 
 _PPM = 1e-6
 
@@ -167,3 +168,25 @@ def measured_axes(record: GantryRecord, axes: Sequence[Axis], path: str) -> tupl
     for i, vector in zip(linear, true, strict=True):
         out[i] = replace(axes[i], direction=vector, scale=float(np.linalg.norm(vector)))
     return tuple(out)
+
+
+def write_positions(path: Path, axes: Sequence[Axis], positions: Sequence[StampedPosition], *, force: bool) -> None:
+    """Write positions on the way of a move as CSV: ``t_ns,doubt_ns`` and one column per axis, mm or deg.
+
+    Args:
+        path: The file.
+        axes: The axes, in the order of the positions.
+        positions: The positions, in the order of time.
+        force: Whether an existing file may be replaced.
+
+    Raises:
+        ConfigError: The file exists and may not be replaced.
+        UvgsError: The disk is full or the folder cannot be written.
+    """
+    names = [f"{axis.name}_{'mm' if axis.kind == 'linear' else 'deg'}" for axis in axes]
+    shown = [mm_from_m if axis.kind == "linear" else deg_from_rad for axis in axes]
+    lines = [",".join(["t_ns", "doubt_ns", *names])]
+    for place in positions:
+        values = (f"{unit(float(value)):.6f}" for unit, value in zip(shown, place.position, strict=True))
+        lines.append(",".join([str(place.t_ns), str(place.doubt_ns), *values]))
+    write_atomically(path, "\n".join(lines) + "\n", force=force)

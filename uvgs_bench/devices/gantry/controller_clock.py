@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -25,26 +24,6 @@ _FEWEST = 5
 _US_PER_S = 1e6
 # Exchanges that took this much longer than the quickest, in spreads of the quicker half, were held up on one way.
 _HELD_UP = 4.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StampedPosition:
-    """Where the axes were at an instant.
-
-    Args:
-        t_ns: Bench time, ns: the middle between question and answer.
-        doubt_ns: Half of the time between, ns; the true instant is no further away.
-        position: Machine axis positions, shape (A,), m or rad.
-    """
-
-    t_ns: int
-    doubt_ns: int
-    position: FloatArray
-
-    @classmethod
-    def between(cls, asked_ns: int, heard_ns: int, position: FloatArray) -> Self:
-        """A position reported between two instants, bench time, ns."""
-        return cls((asked_ns + heard_ns) // 2, (heard_ns - asked_ns + 1) // 2, position)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ of ``tests/unit/devices`` then run over it. A driver never moves unhomed, outsid
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Literal, Protocol, Self
@@ -59,6 +60,26 @@ class ControllerInfo:
     settings: dict[str, str]
     parameters: dict[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StampedPosition:
+    """Where the axes were at an instant.
+
+    Args:
+        t_ns: Bench time, ns: the middle between question and answer.
+        doubt_ns: Half of the time between, ns; the true instant is no further away.
+        position: Machine axis positions, shape (A,), m or rad.
+    """
+
+    t_ns: int
+    doubt_ns: int
+    position: FloatArray
+
+    @classmethod
+    def between(cls, asked_ns: int, heard_ns: int, position: FloatArray) -> Self:
+        """A position reported between two instants, bench time, ns."""
+        return cls((asked_ns + heard_ns) // 2, (heard_ns - asked_ns + 1) // 2, position)
 
 
 class Gantry(Protocol):
@@ -114,6 +135,10 @@ class Gantry(Protocol):
 
     def stop(self) -> GantryState:
         """Stop the motion now, controlled, so that the position stays known. Never raises for being at rest."""
+        ...
+
+    def recording(self) -> AbstractContextManager[list[StampedPosition]]:
+        """Within this, every position the controller reports is kept with its time, in the list that is given."""
         ...
 
     def ask(self, line: str) -> list[str]:

@@ -17,8 +17,8 @@ import numpy as np
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
-from uvgs_bench.devices.gantry.controller_clock import Exchange, StampedPosition, ask_clock
-from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, WireLog
+from uvgs_bench.devices.gantry.controller_clock import Exchange, ask_clock
+from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, StampedPosition, WireLog
 from uvgs_bench.devices.gantry.grbl_arrival import LATE_S, WATCH_S, Way, await_arrival
 from uvgs_bench.devices.gantry.grbl_codes import MALFORMED
 from uvgs_bench.devices.gantry.grbl_identity import identify
