@@ -390,4 +390,10 @@ def _answered(
         reason=tuple(words.tolist()),
         mount=bench.mount,
         place=stations.place[of_station],
+        velocity_gs_mps=read_only(stations.velocity_mps[of_station]),
+        approach=stations.approach[of_station],
+        session=stations.session[of_station],
+        is_saturated=is_saturated,
+        rms_px=read_only(np.where(is_solved, np.sqrt(squares / (2 * L)), np.nan)),
+        blob_count=np.where(is_seen, L, 0).astype(np.int64),
     )

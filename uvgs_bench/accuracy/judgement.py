@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, Estimate
+from uvgs_bench.accuracy.diagnosis import LEAST_VISITS, Suspect, diagnose
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
 from uvgs_bench.accuracy.quantities import Quantity, quantities
@@ -16,6 +17,8 @@ from uvgs_bench.accuracy.quantity_catalogue import LIMITABLE
 from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
 from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
 from uvgs_bench.accuracy.uncertainty import Budget
+from uvgs_bench.beacon import Beacon
+from uvgs_bench.camera.lens import Lens
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import Pose
 from uvgs_bench.units import deg_from_rad, mm_from_m, ms_from_s
@@ -143,6 +146,7 @@ class Judgement:
         split: How the captures were parted into fitting and judging, one line.
         budget: The uncertainty budget of the captures that judge, or None.
         quantities: Named figures of the captures that judge, with their definitions; of groups of them too.
+        diagnosis: Causes the residuals of all captures point to, the likeliest first; empty when nothing stands out.
     """
 
     registration: Registration | None
@@ -157,6 +161,7 @@ class Judgement:
     split: str
     budget: Budget | None = None
     quantities: tuple[Quantity, ...] = ()
+    diagnosis: tuple[Suspect, ...] = ()
 
 
 _FOLDS = 5
@@ -173,6 +178,8 @@ def judge(
     run_completed: bool = True,
     gantry_sigma_m: float = GANTRY_SIGMA_M,
     nominal: Pose | None = None,
+    lens: Lens | None = None,
+    beacon: Beacon | None = None,
 ) -> Judgement:
     """Register on the stations meant for it, judge on the others, and hold the figures against limits.
 
@@ -185,6 +192,8 @@ def judge(
         run_completed: Whether the run reached its end.
         gantry_sigma_m: Standard deviation per axis of the carriage position, m.
         nominal: Where what rides the carriage is drawn to in unseen directions; the identity when None.
+        lens: The lens the sensor was told; without it or the beacon nothing is diagnosed.
+        beacon: The beacon it was told.
 
     Returns:
         The judgement. Too little data gives ``inconclusive`` with the reason, never an exception.
@@ -213,6 +222,12 @@ def judge(
         )
     if not limits:
         alerts.append(Alert("note", "no limits were given: there is nothing to pass or fail"))
+    suspects: tuple[Suspect, ...] = ()
+    if lens is not None and beacon is not None:
+        suspects = diagnose(obs, registration, lens, beacon.positions_m, beacon.led_names)
+        visits = len(np.unique(obs.station[obs.is_solved]))
+        if visits < LEAST_VISITS:
+            alerts.append(Alert("note", f"only {visits} stations have a pose: diagnosis needs {LEAST_VISITS}"))
     return Judgement(
         registration=registration,
         in_sample_table=in_sample,
@@ -225,6 +240,7 @@ def judge(
         alerts=_sorted(alerts),
         split=split,
         quantities=named,
+        diagnosis=suspects,
     )
 
 

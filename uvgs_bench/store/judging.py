@@ -33,6 +33,8 @@ def judge_run(run: Run, *, seed: int | None = None) -> Judgement:
         run_completed=run.is_complete,
         gantry_sigma_m=run.manifest.gantry_sigma_m,
         nominal=run.manifest.mounted,
+        lens=run.calibration.lens,
+        beacon=run.beacon,
     )
     remarks = [Alert("warning", remark) for remark in run.remarks]
     if run.ended != "completed":

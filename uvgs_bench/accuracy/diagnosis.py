@@ -1,0 +1,329 @@
+"""What may be wrong with a bench: residuals held against the signatures of known causes, the likeliest first.
+
+Every cause is one more column of the registration's least squares, weighed by how visits and places really scatter.
+A cause is named when the residuals become so much smaller with it that chance would do it in one clean bench of twenty,
+all causes taken together (Bonferroni's first step of Holm's procedure). Among those the one that explains most for its
+number of parameters comes first (Bayesian information criterion); the next must explain what the first left. Causes
+that explain as much as the first, and nothing beside it, are named with it: these data cannot tell them apart.
+
+Source: S. Holm, A simple sequentially rejective multiple test procedure (1979); G. Schwarz, Estimating the dimension of
+a model (1978).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.accuracy.bench_model import gantry_covariance, pose_residuals
+from uvgs_bench.accuracy.cause_signatures import Signature, is_turned_away, signatures
+from uvgs_bench.accuracy.least_squares import usual_distance
+from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.accuracy.pose_sensitivity import pose_pixel_jacobian
+from uvgs_bench.accuracy.registration import Registration
+from uvgs_bench.accuracy.tangent import hats
+from uvgs_bench.accuracy.variance_components import Visits, fit_scatter, means, visits_of, whitened
+from uvgs_bench.camera.lens import Lens
+from uvgs_bench.geometry import FloatArray
+
+LEAST_VISITS = 12
+"""With fewer visits nothing is diagnosed: too little is left once the registration is fitted."""
+_ALPHA = 0.05
+_MOST_SUSPECTS = 4
+# Difference of the information criterion beyond which one cause is clearly better: odds of 20 to 1.
+_CLEARLY = 6.0
+_RANK = 1e-6
+_LEAST_EIGENVALUE = 1e-12
+# Residuals six times as long as usual do not come by chance.
+_GROSS_CHANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Suspect:
+    """One cause that stands out.
+
+    Args:
+        cause: Stable word.
+        title: What seems wrong, in words.
+        p_value: Chance of such residuals on a clean bench, all causes tested taken together.
+        effect_position_m: Root mean square of what it does to position errors after registration, m.
+        estimate: Its size in ``unit``; the length where it is a vector.
+        low: Lower end of its 95 % interval in ``unit``.
+        high: Upper end.
+        unit: ``%``, ``mrad``, ``mm``, ``mm/h``, ``ms``, ``px``, or empty for a plain number.
+        evidence: What one sees of it, one line.
+        check: What would confirm it, one line.
+        rank: 1 for the likeliest.
+        alternatives: Titles of causes these data cannot tell from it.
+    """
+
+    cause: str
+    title: str
+    p_value: float
+    effect_position_m: float
+    estimate: float
+    low: float
+    high: float
+    unit: str
+    evidence: str
+    check: str
+    rank: int
+    alternatives: tuple[str, ...] = ()
+
+
+def diagnose(
+    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+) -> tuple[Suspect, ...]:
+    """Name what the residuals of a registration point to.
+
+    Args:
+        obs: Captures, misses included; those that registered may and should be among them.
+        registration: Their registration.
+        lens: The lens the sensor was told.
+        leds_m: LED positions it was told, beacon frame, shape (L, 3), m.
+        led_names: Names of the LEDs, length L.
+
+    Returns:
+        Suspects, the likeliest first; empty when nothing stands out or there are fewer than ``LEAST_VISITS`` visits.
+    """
+    data = obs.select(obs.is_solved)
+    data = data.select(_can_be_seen(data, registration, lens, leds_m))
+    if len(np.unique(data.station)) < LEAST_VISITS:
+        return ()
+    residual = pose_residuals(data, *registration.predict(data))
+    L = np.linalg.cholesky(_noise(data, registration, lens, leds_m) + gantry_covariance(registration.gantry_sigma_m))
+    distance = np.linalg.norm(np.linalg.solve(L, residual[:, :, None])[:, :, 0], axis=1)
+    turned = is_turned_away(residual, distance, usual_distance(distance, np.ones(data.count)))
+    kept = data.select(~turned)
+    suspects = [_wrong_labels(data, turned)] if turned.any() else []
+    if len(np.unique(kept.station)) >= LEAST_VISITS:
+        possible = signatures(kept, registration, lens, leds_m, led_names)
+        suspects += _Search(kept, registration, lens, leds_m, possible).suspects(len(suspects))
+    return tuple(suspects)
+
+
+class _Search:
+    """Signatures and residuals of one run, whitened, with what a registration absorbs taken off."""
+
+    def __init__(
+        self,
+        obs: Observations,
+        registration: Registration,
+        lens: Lens,
+        leds_m: FloatArray,
+        possible: tuple[Signature, ...],
+    ) -> None:
+        self.obs = obs
+        residual = pose_residuals(obs, *registration.predict(obs))
+        visits, of_visit = visits_of(residual, _noise(obs, registration, lens, leds_m), obs.station, obs.place)
+        self.absorbed = registration.prediction_jacobian(obs)
+        averaged = [means(self.absorbed, of_visit)] + [means(s.effect, of_visit) for s in possible]
+        explained, self.freedom = _explained(visits, averaged)
+        scatter = fit_scatter(visits, explained, registration.gantry_sigma_m)
+        table = np.concatenate([visits.residual[:, :, None], *averaged], axis=2)
+        white, _ = whitened(visits, scatter, table)
+        ends = np.cumsum([1, *(part.shape[2] for part in averaged)])
+        self.registering = white[:, ends[0] : ends[1]]
+        self.basis = _basis(self.registering)
+        self.left = _off(self.basis, white[:, :1])[:, 0]
+        self.observed = white[:, 0]
+        self.count = len(white)
+        self.possible: list[Signature] = []
+        self.columns: list[FloatArray] = []
+        for signature, first, last in zip(possible, ends[1:-1], ends[2:], strict=True):
+            columns = white[:, first:last]
+            if len(columns.T) == _rank(_off(self.basis, columns), columns):
+                self.possible.append(signature)
+                self.columns.append(columns)
+
+    def suspects(self, already: int) -> list[Suspect]:
+        """The search: the best cause, then the best for what it leaves, until nothing stands out."""
+        basis, left = self.basis, self.left
+        chosen: list[int] = []
+        found: list[tuple[float, float, tuple[str, ...]]] = []
+        open_ones = list(range(len(self.possible)))
+        while open_ones and len(chosen) < _MOST_SUSPECTS:
+            gains = {k: self._gain(basis, left, k) for k in open_ones}
+            chances = {k: min(1.0, len(open_ones) * self._chance(gains[k], k)) for k in open_ones}
+            standing = [k for k in open_ones if chances[k] <= _ALPHA]
+            if not standing:
+                break
+            worth = {k: gains[k] - self._price(k) for k in standing}
+            best = max(standing, key=lambda k: worth[k])
+            with_best = _basis(np.concatenate([basis, self.columns[best]], axis=1))
+            cause = self.possible[best].cause
+            rest = _off(with_best, left[:, None])[:, 0]
+            like = [
+                k
+                for k in sorted(standing, key=lambda k: -worth[k])
+                if self.possible[k].cause != cause
+                and worth[k] > worth[best] - _CLEARLY
+                and len(open_ones) * self._chance(self._gain(with_best, rest, k), k) > _ALPHA
+            ]
+            chosen.append(best)
+            # Of each other cause the likeliest.
+            titles = {self.possible[k].cause: self.possible[k].title for k in reversed(like)}
+            found.append((chances[best], gains[best], tuple(reversed(titles.values()))))
+            basis, left = with_best, rest
+            # Another instant, LED or axis of the same cause may still be named, but not one the first has used up.
+            open_ones = [k for k in open_ones if k != best and not (cause == "slip" == self.possible[k].cause)]
+        return self._described(chosen, found, already)
+
+    def _gain(self, basis: FloatArray, left: FloatArray, k: int) -> float:
+        """How much of the squared residual a cause explains beside a basis."""
+        free = _off(basis, self.columns[k])
+        if _rank(free, self.columns[k]) < free.shape[1]:
+            return 0.0
+        return float(((np.linalg.qr(free)[0].T @ left) ** 2).sum())
+
+    def _chance(self, gain: float, k: int) -> float:
+        from scipy.stats import f
+
+        p = self.columns[k].shape[1]
+        return float(f.sf(gain / p, p, self.freedom))
+
+    def _price(self, k: int) -> float:
+        count: int = self.columns[k].shape[1]
+        return count * float(np.log(self.count)) + 2.0 * float(np.log(self.possible[k].rivals))
+
+    def _described(
+        self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]], already: int
+    ) -> list[Suspect]:
+        from scipy.stats import t as student
+
+        if not chosen:
+            return []
+        design = np.concatenate([self.registering, *(self.columns[k] for k in chosen)], axis=1)
+        length = np.linalg.norm(design, axis=0)
+        length[length == 0.0] = 1.0
+        inverse = np.linalg.pinv(design / length, rcond=1e-10) / length[:, None]
+        size, doubt = inverse @ self.observed, inverse @ inverse.T
+        reach = float(student.ppf(0.975, self.freedom))
+        suspects = []
+        first = self.registering.shape[1]
+        total = float(self.left @ self.left)
+        for place, (k, (chance, gain, like)) in enumerate(zip(chosen, found, strict=True)):
+            signature = self.possible[k]
+            rows = slice(first, first + signature.effect.shape[2])
+            first = rows.stop
+            theta, C = size[rows], doubt[rows, rows]
+            estimate, half = _size_and_half(theta, C, reach)
+            low = estimate - half if len(theta) == 1 else max(estimate - half, 0.0)
+            suspects.append(
+                Suspect(
+                    cause=signature.cause,
+                    title=signature.title,
+                    p_value=chance,
+                    effect_position_m=self._effect_m(k, theta),
+                    estimate=estimate * signature.per_unit,
+                    low=low * signature.per_unit,
+                    high=(estimate + half) * signature.per_unit,
+                    unit=signature.unit,
+                    evidence=f"{signature.sign}; it explains {gain / total:.0%} of the squared residuals",
+                    check=signature.check,
+                    rank=already + place + 1,
+                    alternatives=like,
+                )
+            )
+        return suspects
+
+    def _effect_m(self, k: int, theta: FloatArray) -> float:
+        """Root mean square of the position errors a cause leaves once a registration has absorbed what it can."""
+        whole = self.columns[k] @ theta
+        taken = np.linalg.lstsq(self.registering, whole, rcond=1e-10)[0]
+        tangent = self.possible[k].effect @ theta - self.absorbed @ taken
+        shift = tangent[:, 3:] - np.einsum("nij,nj->ni", hats(self.obs.t_cb_m), tangent[:, :3])
+        return float(np.sqrt((shift**2).sum(axis=1).mean()))
+
+
+def _explained(visits: Visits, averaged: list[FloatArray]) -> tuple[FloatArray, int]:
+    """What may have shifted the visits while their scatter is sought, and the degrees of freedom left.
+
+    All causes where there are visits enough for them; else only the registration, and the scatter comes out larger.
+    """
+    everything = np.concatenate(averaged, axis=2)
+    rows = 6 * len(visits.residual)
+    for columns in (everything, averaged[0]):
+        left = rows - columns.shape[2]
+        if left >= 3 * columns.shape[2]:
+            break
+    return columns, max(left, 1)
+
+
+def _can_be_seen(obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray) -> NDArray[np.bool_]:
+    """Captures whose prediction the lens can show with all LEDs, and whose pose that would tell, shape (N,)."""
+    J, _ = pose_pixel_jacobian(lens, leds_m, *registration.predict(obs))
+    is_finite = np.isfinite(J).all(axis=(1, 2, 3))
+    information = np.einsum("nkui,nkuj->nij", J[is_finite], J[is_finite])
+    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300))
+    least = np.linalg.eigvalsh(information / scale[:, :, None] / scale[:, None, :])[:, 0]
+    seen = is_finite.copy()
+    seen[is_finite] = least > _LEAST_EIGENVALUE
+    return seen
+
+
+def _noise(obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray) -> FloatArray:
+    """Covariance from centroid noise at the predicted poses, shape (N, 6, 6).
+
+    The stated one is taken where the pose was found, so it goes with the error and would lean the fit to one side; its
+    level is kept, its shape is taken where the beacon should be.
+    """
+    J, _ = pose_pixel_jacobian(lens, leds_m, *registration.predict(obs))
+    information = np.einsum("nkui,nkuj->nij", J, J)
+    level_px2 = np.einsum("nij,nji->n", obs.noise_covariance, information) / 6.0
+    return np.asarray(np.median(level_px2) * np.linalg.inv(information))
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    """Orthonormal columns that span the given ones, shape (n, r)."""
+    length = np.linalg.norm(columns, axis=0)
+    U, size, _ = np.linalg.svd(columns[:, length > 0.0] / length[length > 0.0], full_matrices=False)
+    basis: FloatArray = U[:, size > _RANK * size[0]]
+    return basis
+
+
+def _off(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """Columns less what lies in the basis."""
+    once = columns - basis @ (basis.T @ columns)
+    # Twice is enough: what is nearly all absorbed loses its digits in one go.
+    return once - basis @ (basis.T @ once)
+
+
+def _rank(free: FloatArray, columns: FloatArray) -> int:
+    """How many directions of columns are left in their free part."""
+    length = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return int((np.linalg.svd(free / length, compute_uv=False) > _RANK).sum())
+
+
+def _size_and_half(theta: FloatArray, C: FloatArray, reach: float) -> tuple[float, float]:
+    """A scalar with half its interval, or the length of a vector with half the interval along it."""
+    if len(theta) == 1:
+        return float(theta[0]), reach * float(np.sqrt(C[0, 0]))
+    length = float(np.linalg.norm(theta))
+    along = theta / max(length, 1e-300)
+    return length, reach * float(np.sqrt(along @ C @ along))
+
+
+def _wrong_labels(data: Observations, turned: NDArray[np.bool_]) -> Suspect:
+    """Poses that are another one altogether: their count with its exact interval."""
+    from scipy.stats import beta
+
+    n, k = len(turned), int(turned.sum())
+    low = float(beta.ppf(0.025, k, n - k + 1))
+    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    visits = len(np.unique(data.station[turned]))
+    return Suspect(
+        cause="wrong_labels",
+        title="some poses are other poses altogether, as exchanged LEDs give",
+        p_value=_GROSS_CHANCE,
+        effect_position_m=float("nan"),
+        estimate=100.0 * k / n,
+        low=100.0 * low,
+        high=100.0 * high,
+        unit="%",
+        evidence=f"{k} of {n} poses at {visits} stations are turned and shifted far beyond their stated doubt",
+        check="look at the overlays of these captures; ask for a larger margin between labels",
+        rank=1,
+    )
