@@ -131,7 +131,11 @@ class BoardMiss:
 
 
 class BoardKind(Protocol):
-    """What a kind of board can do: a module with these functions, and ``MARGIN`` where its ground is not white."""
+    """What a kind of board can do: a module with these functions.
+
+    Besides, ``MARGIN`` where its ground is not white, and ``glance(grey, board) -> bool`` where a search in vain is
+    slow.
+    """
 
     def points(self, board: Board) -> FloatArray:
         """All points in the board frame, shape (N, 3), m."""
@@ -207,6 +211,21 @@ def find_board(image: NDArray[np.generic], board: Board, name: str = "") -> Boar
     view = BoardView(name, px, board.points_m[indices], width_px, height_px)
     trouble = _trouble(view)
     return BoardMiss(name, *trouble) if trouble else view
+
+
+def is_worth_a_search(image: NDArray[np.generic], board: Board) -> bool:
+    """Whether a quick look sees something like the board; a full search for one that is not there takes long.
+
+    Args:
+        image: As for ``find_board``.
+        board: The board as declared.
+
+    Returns:
+        False where it most likely shows no board, or one with squares too small to add anything; True for kinds that
+        are searched quickly anyway.
+    """
+    glance = getattr(_kind(board), "glance", None)
+    return glance is None or bool(glance(_grey(image), board))
 
 
 def board_texture(board: Board, px_per_square: int = 64) -> tuple[GreyImage, float, FloatArray]:

@@ -63,7 +63,8 @@ class Calibration:
             nobody compared them.
 
     Raises:
-        CalibrationError: The ratio is negative or not finite; or the covariance has another shape, is not finite, not symmetric, or has a negative variance.
+        CalibrationError: The ratio is negative or not finite; or the covariance has another shape, is not finite, not
+            symmetric, or has a negative variance.
     """
 
     lens: Lens

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from uvgs_bench.camera import Board, BoardView, find_board
-from uvgs_bench.camera.boards import BoardMiss
+from uvgs_bench.camera.boards import BoardMiss, is_worth_a_search
 from uvgs_bench.camera.guidance import Guidance, begin, consider, shared_distance_px, take
 from uvgs_bench.camera.verdict import WISHED_VIEWS
 from uvgs_bench.devices.cameras.source import CameraSource
@@ -74,7 +74,7 @@ def guide_views(
         if capture is None:
             break
         seen += 1
-        last = found = find_board(capture.image, board, f"view_{len(guidance.views):02d}")
+        last = found = _look(capture, board, f"view_{len(guidance.views):02d}")
         if isinstance(found, BoardMiss):
             before, said, is_taken = None, f"{found.reason}: {found.detail}", False
         elif before is None or shared_distance_px(before, found) > _STILL_SHARE * found.width_px:
@@ -98,6 +98,13 @@ def guide_views(
     if not guidance.is_enough:
         sink(Remark("warning", f"ended with {len(guidance.views)} views; missing: {'; '.join(guidance.wishes)}"))
     return FoundBoards(guidance.views, misses, digest.hexdigest())
+
+
+def _look(capture: Capture, board: Board, name: str) -> BoardView | BoardMiss:
+    """Find the board where a glance sees one: a search in vain would make the picture stutter."""
+    if not is_worth_a_search(capture.image, board):
+        return BoardMiss(name, "board_not_found", f"nothing like a board of {board.columns}x{board.rows} at a glance")
+    return find_board(capture.image, board, name)
 
 
 def _shown(guidance: Guidance, seen: int, said: str, is_taken: bool) -> CoverageShown:

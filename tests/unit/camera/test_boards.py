@@ -18,6 +18,7 @@ from uvgs_bench.camera.boards import (
     BoardView,
     board_texture,
     find_board,
+    is_worth_a_search,
     symmetry,
 )
 from uvgs_bench.errors import CalibrationError, ConfigError
@@ -152,6 +153,23 @@ def test_noisy_corners_are_looked_for_again_and_the_quieter_kept():
     assert local_noise_px(both[0]) <= local_noise_px(both[1]) + 1e-9
     # The noise that is told is that of the corners: a third of it by chance, for 28 blocks that share corners.
     assert local_noise_px(both[0]) == pytest.approx(error / np.sqrt(2.0), rel=0.35)
+
+
+def test_a_glance_passes_boards_on_and_spares_the_search_of_other_pictures():
+    rng = np.random.default_rng(7)
+    far = np.diag([0.25, 0.25, 1.0]) @ H
+    for image in (picture(CHESS), picture(CHESS, far, (640, 480)), picture(CHESS, far)):
+        assert is_worth_a_search(image, CHESS)
+    blurred = cv2.GaussianBlur(picture(CHESS), (0, 0), 3.0).astype(np.float64)
+    assert is_worth_a_search(
+        np.clip(0.3 * blurred + rng.normal(80.0, 4.0, blurred.shape), 0, 255).astype(np.uint8), CHESS
+    )
+    noise = rng.normal(100.0, 5.0, (960, 1280)).clip(0, 255).astype(np.uint8)
+    slope = np.tile(np.linspace(0.0, 255.0, 1280), (960, 1)).astype(np.uint8)
+    for image in (noise, slope, np.full((960, 1280), 20, np.uint8)):
+        assert not is_worth_a_search(image, CHESS)
+        # Markers are searched quickly: no glance is needed.
+        assert is_worth_a_search(image, CHARUCO)
 
 
 def reason(image: np.ndarray, board: Board) -> str:
