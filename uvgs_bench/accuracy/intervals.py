@@ -92,7 +92,8 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
         ends = bias_value - q_high * total, bias_value - q_low * total
         bias = clusters.estimate(bias_value, *ends, worth=counted)
     else:
-        radius = _mean_radius(m - mean, clusters.shifts @ shared_mean.T, S)
+        shared = clusters.shifts[:, :d] @ np.linalg.qr(shared_mean.T, mode="r")
+        radius = _mean_radius(m - mean, shared, S)
         bias = clusters.estimate(bias_value, max(bias_value - radius, 0.0), bias_value + radius, worth=counted)
     return MomentIntervals(bias, spread, rms)
 

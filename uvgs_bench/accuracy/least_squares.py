@@ -44,7 +44,7 @@ class Alignment:
     """
 
     def __init__(self, data: Observations, shares: FloatArray, gantry_sigma_m: float) -> None:
-        self.data, self.shares = data, shares
+        self.data, self.shares, self.gantry_sigma_m = data, shares, gantry_sigma_m
         self.R_g, self.t_g = carriage_motion(data)
         self.whitening = _whitening(data, gantry_sigma_m)
         self.length_m = max(float(np.median(np.linalg.norm(data.t_cb_m, axis=1))), 1e-6)

@@ -110,11 +110,18 @@ def in_gauge(covariance: FloatArray, null: FloatArray, gradient: FloatArray, mou
     """
     if len(null) == 0:
         return covariance
-    G = np.zeros((len(null), null.shape[1]))
-    G[:, mounted] = (gradient @ null[:, mounted].T).T @ gradient
-    T = np.eye(null.shape[1]) - null.T @ np.linalg.solve(G @ null.T, G)
+    T = gauge_transform(null, gradient, mounted)
     out: FloatArray = T @ covariance @ T.T
     return 0.5 * (out + out.T)
+
+
+def gauge_transform(null: FloatArray, gradient: FloatArray, mounted: slice) -> FloatArray:
+    """Change of the 12 parameters in the gauge of ``in_gauge``, for a change in any gauge, shape (12, 12)."""
+    if len(null) == 0:
+        return np.eye(12)
+    G = np.zeros((len(null), null.shape[1]))
+    G[:, mounted] = (gradient @ null[:, mounted].T).T @ gradient
+    return np.asarray(np.eye(null.shape[1]) - null.T @ np.linalg.solve(G @ null.T, G))
 
 
 def blind_spots(null: FloatArray, left: Pose, mount: Mount) -> tuple[str, ...]:

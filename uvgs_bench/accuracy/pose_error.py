@@ -36,7 +36,7 @@ class ErrorTable:
         view_angle_rad: Predicted angle between the beacon's z axis and the line of sight, shape (N,), rad.
         nees: Squared error over the predicted covariance (sensor, gantry and registration), shape (N,), 6 on average.
         registration_factor: Effect of the registration's own doubt on (rotation error, translation error), shape
-            (N, 6, 12), rad and m: its covariance is ``F F^T``.
+            (N, 6, K), rad and m: its covariance is ``F F^T``; K is 12, or 20 when terms were fitted beside the poses.
     """
 
     station: NDArray[np.int64]
@@ -138,10 +138,7 @@ def error_table(obs: Observations, registration: Registration) -> ErrorTable:
     shift[obs.is_solved] = solved.t_cb_m - t_s
     turn[obs.is_solved] = rotation_logs(solved.R_cb @ R_s.transpose(0, 2, 1))
 
-    values, vectors = np.linalg.eigh(registration.covariance)
-    # The symmetric root has no arbitrary signs, so factors of similar registrations can be compared.
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    tangent_factor = registration.prediction_jacobian(obs) @ root
+    tangent_factor = registration.prediction_factor(obs)
     # Left tangent to translation in camera axes: dt = v + omega x t.
     factor = tangent_factor.copy()
     factor[:, 3:] -= hats(t) @ tangent_factor[:, :3]

@@ -12,20 +12,21 @@ for Robotics, chapters 5 and 7; P. Huber, Robust Statistics, chapter 7.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.bench_model import carriage_motion, predicted, prediction_jacobian
-from uvgs_bench.accuracy.bench_terms import AxisTerms
+from uvgs_bench.accuracy.bench_terms import TERM_COUNT, AxisTerms, moved_carriage_m, term_jacobian
 from uvgs_bench.accuracy.clusters import Estimate
 from uvgs_bench.accuracy.least_squares import Alignment, usual_distance
-from uvgs_bench.accuracy.observability import blind_spots, in_gauge, mounted_slice
+from uvgs_bench.accuracy.observability import blind_spots, gauge_transform, in_gauge, mounted_slice
 from uvgs_bench.accuracy.observations import Mount, Observations
 from uvgs_bench.accuracy.registration_start import start_poses
 from uvgs_bench.accuracy.tangent import hats, rotation_logs
+from uvgs_bench.accuracy.term_fit import FittedTerms, fit_terms
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import mm_from_m
@@ -74,6 +75,11 @@ class Registration:
         time_offset_s: How much later than mid-exposure the captures are stamped on the gantry's clock, s; or None.
         time_rate: Seconds by which that grows per second; or None.
         term_notes: What became of each term that was asked for, one line each, with the reason.
+        terms: Scales x, y, z, shears xy, xz, yz, time offset and its rate as fitted, shape (8,), 1, rad, s, s/s; zero
+            where held.
+        term_factor: Root of the joint covariance of the 12 parameters and the terms: it is ``F F^T``, shape (20, K);
+            empty without terms.
+        origin_ns: Instant for which the time offset is quoted, ns.
     """
 
     mount: Mount
@@ -96,6 +102,9 @@ class Registration:
     time_offset_s: Estimate | None = None
     time_rate: Estimate | None = None
     term_notes: tuple[str, ...] = ()
+    terms: FloatArray = field(default_factory=lambda: np.zeros(TERM_COUNT))
+    term_factor: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    origin_ns: int = 0
 
     @property
     def left_covariance(self) -> FloatArray:
@@ -130,13 +139,35 @@ class Registration:
         Returns:
             Rotations (N, 3, 3) and translations (N, 3), m, of camera_from_beacon.
         """
-        R_g, t_g = carriage_motion(obs)
+        R_g, t_g = carriage_motion(self._moved(obs))
         return predicted(self.left, self.right, R_g, t_g)
 
     def prediction_jacobian(self, obs: Observations) -> FloatArray:
         """Derivative of the left tangent of each prediction by the 12 parameters, shape (N, 6, 12)."""
-        R_g, t_g = carriage_motion(obs)
+        R_g, t_g = carriage_motion(self._moved(obs))
         return prediction_jacobian(self.left, R_g, t_g)
+
+    def prediction_factor(self, obs: Observations) -> FloatArray:
+        """Effect of the registration's doubt on the left tangent of each prediction.
+
+        Args:
+            obs: Captures; only the gantry's fields are used.
+
+        Returns:
+            Factors F, shape (N, 6, K), rad and m: the covariance is ``F F^T``.
+        """
+        poses = self.prediction_jacobian(obs)
+        if self.term_factor.size == 0:
+            values, vectors = np.linalg.eigh(self.covariance)
+            # The symmetric root has no arbitrary signs, so factors of similar registrations can be compared.
+            return np.asarray(poses @ ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T))
+        by_terms = term_jacobian(obs, self.left, self.terms, self.origin_ns)
+        return np.asarray(np.concatenate([poses, by_terms], axis=2) @ self.term_factor)
+
+    def _moved(self, obs: Observations) -> Observations:
+        if not np.any(self.terms):
+            return obs
+        return replace(obs, t_gs_m=moved_carriage_m(obs, self.terms, self.origin_ns))
 
 
 def fit_registration(
@@ -145,6 +176,7 @@ def fit_registration(
     *,
     gantry_sigma_m: float = GANTRY_SIGMA_M,
     nominal: Pose | None = None,
+    terms: tuple[str, ...] = (),
 ) -> Registration:
     """Fit the two constant poses of a bench by robust least squares on SE(3), with an open gauge.
 
@@ -158,6 +190,7 @@ def fit_registration(
         gantry_sigma_m: Standard deviation per axis of the carriage position, m; added to every capture's covariance.
         nominal: Where what rides the carriage is drawn to in unseen directions: carriage_from_beacon, or
             camera_from_carriage; the identity when None.
+        terms: Names of ``TERM_GROUPS`` that may be fitted beside the poses; each is only when the data ask for it.
 
     Returns:
         The registration.
@@ -182,11 +215,22 @@ def fit_registration(
     left, right, weights, iterations = fit.solve(Pose(R_l, t_l, *left_names), Pose(R_r, t_r, *right_names))
     if nominal is None:
         nominal = Pose.identity(*(right_names if obs.mount == "beacon_on_carriage" else left_names))
+    found, origin_ns = None, int(np.median(data.t_ns))
+    if terms:
+        found, fit, (left, right, weights, more) = fit_terms(
+            data, fit, (left, right, weights), terms, of_place, origin_ns
+        )
+        iterations += more
     left, right, parted, gradient = fit.regauge(left, right, weights, nominal, obs.mount)
     null = parted.null_directions()
-    degrees = 6 * len(places) - parted.rank
-    factor = fit.place_scatter(left, right, weights, of_place, len(places)) / degrees
+    fitted_count = 0 if found is None else 6 - len(found.held) + int(np.count_nonzero(found.values[6:]))
+    degrees = 6 * len(places) - parted.rank - fitted_count
+    factor = fit.place_scatter(left, right, weights, of_place, len(places)) / max(degrees, 1)
     covariance = factor * in_gauge(parted.covariance(), null, gradient, mounted_slice(obs.mount))
+    extras: dict[str, Any] = {}
+    if found is not None:
+        into_gauge = gauge_transform(null, gradient, mounted_slice(obs.mount))
+        covariance, extras = _with_terms(found, factor, covariance, into_gauge, degrees, origin_ns, data, len(places))
     distance = fit.distances(left, right)
     return Registration(
         mount=obs.mount,
@@ -205,7 +249,48 @@ def fit_registration(
         degrees_of_freedom=degrees,
         gantry_sigma_m=gantry_sigma_m,
         iterations=iterations,
+        **extras,
     )
+
+
+def _with_terms(
+    found: FittedTerms,
+    factor: float,
+    covariance: FloatArray,
+    into_gauge: FloatArray,
+    degrees: int,
+    origin_ns: int,
+    data: Observations,
+    places: int,
+) -> tuple[FloatArray, dict[str, Any]]:
+    """Covariance of the poses with the doubt of the terms in it, and the terms as a registration carries them."""
+    from scipy import stats
+
+    if not found.taken:
+        return covariance, {"term_notes": found.notes}
+    of_terms = factor * found.inflation * found.covariance
+    response = np.concatenate([into_gauge @ found.pose_response, np.eye(TERM_COUNT)])
+    joint = response @ of_terms @ response.T
+    joint[:12, :12] += covariance
+    values, vectors = np.linalg.eigh(0.5 * (joint + joint.T))
+    reach = float(stats.t.ppf(0.975, degrees))
+    sigmas = np.sqrt(np.maximum(np.diag(of_terms), 0.0))
+
+    def estimate(k: int) -> Estimate:
+        value, half = float(found.values[k]), reach * float(sigmas[k])
+        return Estimate(value, value - half, value + half, places, data.count)
+
+    has_axes = "axis_scale" in found.taken or "squareness" in found.taken
+    axes = AxisTerms(read_only(found.values[:3]), read_only(found.values[3:6]), read_only(of_terms[:6, :6]), found.held)
+    return np.ascontiguousarray(joint[:12, :12]), {
+        "axis_terms": axes if has_axes else None,
+        "time_offset_s": estimate(6) if "time_offset" in found.taken else None,
+        "time_rate": estimate(7) if "time_rate" in found.taken else None,
+        "term_notes": found.notes,
+        "terms": found.values,
+        "term_factor": read_only(vectors * np.sqrt(np.maximum(values, 0.0))),
+        "origin_ns": origin_ns,
+    }
 
 
 def _check_motion(R_g: FloatArray, t_g: FloatArray) -> None:

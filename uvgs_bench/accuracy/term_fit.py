@@ -1,0 +1,307 @@
+"""Fit axis scale, squareness and time terms beside the two poses of a bench, each only when the data ask for it.
+
+The sensor's own scale is never corrected. It is fitted along, as a depth scale and a size scale, only so that what
+looks like it is not taken for an error of the axes; then it is dropped, and stays in the sensor's errors.
+
+Source: nested linear models by the F test on place means, with the cluster-robust covariance of K.-Y. Liang and
+S. L. Zeger, 1986, where it is larger; Bonferroni for several terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uvgs_bench.accuracy.bench_model import pose_residuals, predicted, prediction_jacobian, residual_jacobian
+from uvgs_bench.accuracy.bench_terms import (
+    SENSOR_COUNT,
+    TERM_COUNT,
+    TERM_GROUPS,
+    is_straight,
+    moved_carriage_m,
+    sensor_jacobian,
+    sensor_like_terms,
+    term_jacobian,
+)
+from uvgs_bench.accuracy.least_squares import Alignment
+from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.geometry import FloatArray, Pose, read_only
+
+LEVEL = 0.01
+"""Chance at which any one of the terms asked for is taken up although nothing is there."""
+_POSES = 12
+# A term is seen when the data pin it to a tenth of this: scales and shears to 1 %, time to 0.1 s and 1 ms/s.
+_UNITS = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 1.0, 0.01])
+_WORST_SEEN = 0.1
+_RELATIVE_FLOOR = 1e-11
+_MOST_ITERATIONS = 8
+_SETTLED = 1e-5
+_AXES = "axis_scale+squareness"
+# Share of a sensor-like direction that must lie within a group for it to be held there.
+_ALIKE = 0.1
+_EYE = np.eye(_POSES + TERM_COUNT + SENSOR_COUNT)
+# Poses and the sensor's scales: whatever the terms are, these are free.
+_OTHERS = np.delete(_EYE, np.s_[_POSES : _POSES + TERM_COUNT], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedTerms:
+    """Terms that were taken up.
+
+    Args:
+        values: Scales x, y, z, shears xy, xz, yz, time offset, time rate, shape (8,), 1, rad, s, s/s; 0 where not
+            fitted.
+        covariance: Their covariance, shape (8, 8), not yet scaled by the variance factor.
+        pose_response: How both poses follow a change of the terms, shape (12, 8), before a gauge is chosen.
+        taken: Names of the groups taken up.
+        held: Directions of (scale, shear) held at zero, orthonormal rows, shape (k, 6).
+        notes: What became of each group, in the order asked.
+        inflation: Scatter of the places' pulls on the terms over what the variance factor says, at least 1.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    pose_response: FloatArray
+    taken: tuple[str, ...]
+    held: FloatArray
+    notes: tuple[str, ...]
+    inflation: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """Normal equations of all 22 unknowns, and how much each place pulls."""
+
+    H: FloatArray
+    pulls: FloatArray
+    scatter: float
+    rank: int
+
+    def eliminated(self, keep: FloatArray, drop: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Information about ``keep`` and the places' pulls on it, ``drop`` being free. Columns are directions."""
+        A = drop.T @ self.H @ drop
+        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        values, vectors = np.linalg.eigh(A / np.outer(size, size))
+        good = values > _RELATIVE_FLOOR * float(values[-1])
+        inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T / np.outer(size, size)
+        through = keep - drop @ (inverse @ (drop.T @ self.H @ keep))
+        return keep.T @ self.H @ through, self.pulls @ through
+
+
+def fit_terms(
+    data: Observations,
+    fit: Alignment,
+    poses: tuple[Pose, Pose, FloatArray],
+    asked: tuple[str, ...],
+    of_place: NDArray[np.intp],
+    origin_ns: int,
+) -> tuple[FittedTerms, Alignment, tuple[Pose, Pose, FloatArray, int]]:
+    """Fit the terms asked for, drop those the data do not ask for, and fit the rest.
+
+    Args:
+        data: Captures, all with a pose.
+        fit: Their least squares.
+        poses: Left pose, right pose and robust weights at its solution without terms.
+        asked: Names of ``TERM_GROUPS``.
+        of_place: Running number of each capture's place, shape (N,).
+        origin_ns: Instant at which the clocks' offset is quoted, ns.
+
+    Returns:
+        The terms, the least squares with the carriage moved by them, and its solution.
+
+    Raises:
+        RegistrationError: No convergence.
+    """
+    state = _State(fit, *poses, 0, np.zeros(TERM_COUNT))
+    bases, notes = _bases(data, state, asked, _normal(state, data, of_place, origin_ns))
+    taken = tuple(bases)
+    if taken:
+        full, normal = _converged(state, data, np.column_stack(list(bases.values())), of_place, origin_ns)
+        taken, found = _asked_for(bases, full.values, normal)
+        notes |= found
+        if len(taken) == len(bases):
+            state = full
+        elif taken:
+            basis = np.column_stack([bases[name] for name in taken])
+            state, normal = _converged(state, data, basis, of_place, origin_ns)
+    ordered = tuple(dict.fromkeys(notes[_group(name, asked)] for name in asked))
+    solution = (state.left, state.right, state.weights, state.iterations)
+    if not taken:
+        nothing = np.zeros((TERM_COUNT, TERM_COUNT))
+        empty = FittedTerms(state.values, nothing, np.zeros((_POSES, TERM_COUNT)), (), np.eye(6), ordered)
+        return empty, state.fit, solution
+    basis = np.column_stack([bases[name] for name in taken])
+    information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
+    through = state.fit.information(state.left, state.right, state.weights).covariance()
+    fitted = FittedTerms(
+        values=read_only(state.values),
+        covariance=read_only(basis @ np.linalg.inv(information) @ basis.T),
+        pose_response=read_only(-through @ normal.H[:_POSES, _POSES : _POSES + TERM_COUNT]),
+        taken=tuple(part for name in taken for part in name.split("+")),
+        held=read_only(np.linalg.svd(basis[:6].T)[2][int(np.linalg.matrix_rank(basis[:6])) :]),
+        notes=ordered,
+        inflation=_inflation(information, pulls, normal),
+    )
+    return fitted, state.fit, solution
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """Where the fit stands."""
+
+    fit: Alignment
+    left: Pose
+    right: Pose
+    weights: FloatArray
+    iterations: int
+    values: FloatArray
+
+
+def _converged(
+    state: _State, data: Observations, basis: FloatArray, of_place: NDArray[np.intp], origin_ns: int
+) -> tuple[_State, _Normal]:
+    """Poses and the terms along a basis, in turn, each step of the terms knowing how the poses will follow."""
+    normal = _normal(state, data, of_place, origin_ns)
+    for _ in range(_MOST_ITERATIONS):
+        information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
+        step = -basis @ np.linalg.solve(information, pulls.sum(axis=0))
+        values = state.values + step
+        moved = replace(data, t_gs_m=moved_carriage_m(data, values, origin_ns))
+        fit = Alignment(moved, state.fit.shares, state.fit.gantry_sigma_m)
+        left, right, weights, iterations = fit.solve(state.left, state.right)
+        state = _State(fit, left, right, weights, state.iterations + iterations, values)
+        normal = _normal(state, data, of_place, origin_ns)
+        if float(np.abs(step / _UNITS).max()) < _SETTLED:
+            break
+    return state, normal
+
+
+def _normal(state: _State, data: Observations, of_place: NDArray[np.intp], origin_ns: int) -> _Normal:
+    """Normal equations of poses, terms and the sensor's scales at a solution of the poses."""
+    fit, left, right, weights = state.fit, state.left, state.right, state.weights
+    R, t = predicted(left, right, fit.R_g, fit.t_g)
+    e = pose_residuals(fit.data, R, t)
+    columns = np.concatenate(
+        [
+            prediction_jacobian(left, fit.R_g, fit.t_g),
+            term_jacobian(data, left, state.values, origin_ns),
+            sensor_jacobian(t),
+        ],
+        axis=2,
+    )
+    J = fit.whitening @ residual_jacobian(e, columns)
+    w = fit.shares * weights
+    rooted = J * np.sqrt(w)[:, None, None]
+    flat = rooted.reshape(-1, J.shape[2])
+    places = int(of_place.max()) + 1
+    pulls = np.zeros((places, J.shape[2]))
+    np.add.at(pulls, of_place, np.einsum("nki,nk->ni", J, np.einsum("nij,nj,n->ni", fit.whitening, e, w)))
+    H = flat.T @ flat
+    size = np.sqrt(np.maximum(np.diag(H)[:_POSES], 1e-300))
+    seen = np.linalg.eigvalsh(H[:_POSES, :_POSES] / np.outer(size, size))
+    rank = int((seen > 1e-9 * seen[-1]).sum())
+    return _Normal(H, pulls, fit.place_scatter(left, right, weights, of_place, places), rank)
+
+
+def _embedded(basis: FloatArray) -> FloatArray:
+    """Directions of terms as directions of all unknowns."""
+    out = np.zeros((_POSES + TERM_COUNT + SENSOR_COUNT, basis.shape[1]))
+    out[_POSES : _POSES + TERM_COUNT] = basis
+    return out
+
+
+def _group(name: str, asked: tuple[str, ...]) -> str:
+    """Scale and squareness share what looks like the sensor's scale, so they are one group when both are asked for."""
+    return _AXES if name in _AXES.split("+") and set(_AXES.split("+")) <= set(asked) else name
+
+
+def _bases(
+    data: Observations, state: _State, asked: tuple[str, ...], normal: _Normal
+) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Directions each group may use, and why a group has none."""
+    bases: dict[str, FloatArray] = {}
+    notes: dict[str, str] = {}
+    slices = {"axis_scale": (0, 3), "squareness": (3, 6), _AXES: (0, 6), "time_offset": (6, 7), "time_rate": (7, 8)}
+    for name in dict.fromkeys(_group(name, asked) for name in TERM_GROUPS if name in asked):
+        first, end = slices[name]
+        columns = np.eye(TERM_COUNT)[:, first:end]
+        if first < 6:
+            if not is_straight(data):
+                notes[name] = f"{_title(name)}: not fitted, a rotary axis turns the linear axes of this gantry"
+                continue
+            alike = sensor_like_terms(data, state.left)[:, first:end]
+            _, size, directions = np.linalg.svd(alike)
+            columns = columns @ directions[int((size > _ALIKE).sum()) :].T
+        elif not np.any(data.velocity_gs_mps):
+            notes[name] = f"{_title(name)}: not fitted, no capture was taken in motion"
+            continue
+        # What the data do not pin is held at zero rather than quoted.
+        units = _UNITS[np.abs(columns).argmax(axis=0)]
+        information, _ = normal.eliminated(_embedded(columns * units), _OTHERS)
+        spread, vectors = np.linalg.eigh(information)
+        usable = (columns * units) @ vectors[:, spread > 1.0 / _WORST_SEEN**2]
+        if usable.shape[1] == 0:
+            notes[name] = f"{_title(name)}: not fitted, these stations cannot see it"
+        else:
+            bases[name] = np.linalg.qr(usable)[0]
+    return bases, notes
+
+
+def _asked_for(
+    bases: dict[str, FloatArray], values: FloatArray, normal: _Normal
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Drop the least significant group, and again beside the rest, until all are significant."""
+    from scipy import stats
+
+    taken, notes, tests = list(bases), dict[str, str](), len(bases)
+    basis = np.column_stack(list(bases.values()))
+    information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
+    inflation = _inflation(information, pulls, normal)
+    found = basis.T @ values
+    target = information @ found
+    owner = np.repeat(np.arange(tests), [b.shape[1] for b in bases.values()])
+    degrees = max(6 * len(pulls) - normal.rank - len(found) - SENSOR_COUNT, 1)
+    factor = inflation * normal.scatter / degrees
+    while taken:
+        # The fit with the groups that are left, by the same normal equations.
+        kept = np.flatnonzero([list(bases)[k] in taken for k in owner])
+        C = np.linalg.inv(information[np.ix_(kept, kept)])
+        here = C @ target[kept]
+        chances = {}
+        for name in taken:
+            own = np.flatnonzero(owner[kept] == list(bases).index(name))
+            gain = float(here[own] @ np.linalg.solve(C[np.ix_(own, own)], here[own])) / (len(own) * factor)
+            chances[name] = tests * float(stats.f.sf(gain, len(own), degrees))
+        worst = max(chances, key=lambda name: chances[name])
+        if chances[worst] < LEVEL:
+            for name, chance in chances.items():
+                count = bases[name].shape[1]
+                notes[name] = f"{_title(name)}: fitted in {count} direction{'s' if count > 1 else ''}, {_odds(chance)}"
+                if name in ("axis_scale", _AXES):
+                    notes[name] += (
+                        "; all axes alike (a wrong size of the beacon) and travel along the line of sight (a wrong "
+                        "focal length) cannot be told from the sensor's own scale and stay in its errors"
+                    )
+            break
+        notes[worst] = f"{_title(worst)}: left at nominal, {_odds(chances[worst])}"
+        taken.remove(worst)
+    return tuple(taken), notes
+
+
+def _odds(chance: float) -> str:
+    return f"chance alone explains as much with probability {min(1.0, chance):.2g}"
+
+
+def _inflation(information: FloatArray, pulls: FloatArray, normal: _Normal) -> float:
+    """How much more the places pull to and fro than the variance factor says, averaged over the directions."""
+    S, k = len(pulls), len(information)
+    centred = pulls - pulls.mean(axis=0)
+    scatter = centred.T @ centred * S / max(S - 1.0 - normal.rank / 6.0, 1.0)
+    factor = normal.scatter / max(6 * S - normal.rank - k, 1)
+    return max(1.0, float(np.trace(np.linalg.solve(information, scatter))) / max(k * factor, 1e-300))
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").replace("+", " and ")
