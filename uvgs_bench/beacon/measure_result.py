@@ -113,7 +113,7 @@ def _contradictions(distances: Sequence[Distance], is_source: bool) -> list[str]
                 f"{abs(off) / doubt_m:.1f} deviations"
             )
     checked = [d for d in distances if d.caliper_m is not None]
-    if not is_source and len(checked) >= 2:
+    if not is_source and checked:
         ratio = float(np.median([d.distance_m / d.caliper_m - 1.0 for d in checked if d.caliper_m]))
         doubt_of_ratio = float(
             np.median([np.hypot(d.sigma_m, d.caliper_sigma_m or 0.0) / d.distance_m for d in checked])

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from uvgs_bench.camera.marker_ratio import ratio_misfit
 from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray
 
@@ -78,7 +79,21 @@ def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.
     px = np.concatenate([np.roll(own[number], turn, axis=0) for number in own])
     indices = np.concatenate([places[number] for number in own])
     order = np.argsort(indices)
-    return _refined(grey, board, px[order]), indices[order].astype(np.intp)
+    refined = _refined(grey, board, px[order])
+    misfit = ratio_misfit(board, _tag_shares(board, dict(zip(indices[order].tolist(), refined, strict=True))))
+    return misfit or (refined, indices[order].astype(np.intp))
+
+
+def _tag_shares(board: Board, seen: dict[int, FloatArray]) -> FloatArray:
+    """Side of a tag over the pitch, of neighbours in a row, shape (N,): perspective takes as much of both."""
+    shares = []
+    for first in range(4 * board.columns * board.rows):
+        is_pair = first % 2 == 0 and first % (2 * board.columns) <= 2 * board.columns - 4
+        if is_pair and all(first + i in seen for i in range(4)):
+            a, b, c, d = (seen[first + i] for i in range(4))
+            tag, pitch = np.linalg.norm(b - a) + np.linalg.norm(d - c), np.linalg.norm(c - a) + np.linalg.norm(d - b)
+            shares.append(float(tag / pitch))
+    return np.array(shares)
 
 
 def draw(board: Board, px_per_square: int) -> tuple[NDArray[np.uint8], tuple[float, float]]:

@@ -6,11 +6,13 @@ picture; here they are refined again with a window that ends before the nearest 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uvgs_bench.camera.marker_ratio import ratio_misfit
 from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray
 
@@ -34,10 +36,12 @@ def check(board: Board) -> None:
 
 def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
     """Find the visible corners with their numbers, or say why not."""
-    first, second = _detect(grey, board, board.legacy)
-    if isinstance(first, str):
-        return _explain(grey, board, first, str(second))
-    return _refined(grey, board, first), np.asarray(second, dtype=np.intp)
+    seen = _detect(grey, board, board.legacy)
+    if isinstance(seen, tuple):
+        return _explain(grey, board, *seen)
+    px = _refined(grey, board, seen.px)
+    misfit = ratio_misfit(board, _marker_shares(grey, board, seen, px))
+    return misfit or (px, seen.numbers)
 
 
 def draw(board: Board, px_per_square: int) -> tuple[NDArray[np.uint8], tuple[float, float]]:
@@ -45,6 +49,45 @@ def draw(board: Board, px_per_square: int) -> tuple[NDArray[np.uint8], tuple[flo
     size = (board.columns * px_per_square, board.rows * px_per_square)
     picture = _opencv_board(board, board.legacy).generateImage(size, marginSize=0, borderBits=1)
     return np.asarray(picture, dtype=np.uint8), (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Corners (N, 2) with their numbers, markers (M, 4, 2) with theirs."""
+
+    px: FloatArray
+    numbers: NDArray[np.intp]
+    markers_px: FloatArray
+    marker_numbers: NDArray[np.intp]
+
+
+def _marker_shares(grey: NDArray[np.uint8], board: Board, seen: _Seen, px: FloatArray) -> FloatArray:
+    """Side of each marker over the side of its square, of squares whose four corners are seen, shape (N,)."""
+    import cv2
+
+    places = np.asarray(_opencv_board(board, board.legacy).getObjPoints()).reshape(-1, 4, 3)[:, :, :2]
+    known = dict(zip(seen.numbers.tolist(), px, strict=True))
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-3)
+    shares = []
+    for number, marker in zip(seen.marker_numbers, seen.markers_px, strict=True):
+        column, row = (places[number].mean(axis=0) / board.square_m).astype(int)
+        wide = board.columns - 1
+        if not (0 < column < wide and 0 < row < board.rows - 1):
+            continue
+        first = int((row - 1) * wide + column - 1)
+        square = [known.get(i) for i in (first, first + 1, first + wide + 1, first + wide)]
+        if any(corner is None for corner in square):
+            continue
+        side_px = _mean_side(np.array(square))
+        window = int(np.clip(0.5 * (1.0 - board.marker_m / board.square_m) * side_px - _APRON_PX, 2, 5))
+        start = marker.astype(np.float32).reshape(-1, 1, 2)
+        refined = np.reshape(cv2.cornerSubPix(grey, start, (window, window), (-1, -1), stop), (4, 2))
+        shares.append(_mean_side(refined) / side_px)
+    return np.array(shares)
+
+
+def _mean_side(four: FloatArray) -> float:
+    return float(np.linalg.norm(four - np.roll(four, 1, axis=0), axis=1).mean())
 
 
 def _opencv_board(board: Board, legacy: bool) -> Any:
@@ -64,16 +107,14 @@ def _opencv_board(board: Board, legacy: bool) -> Any:
     return made
 
 
-def _detect(
-    grey: NDArray[np.uint8], board: Board, legacy: bool
-) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
+def _detect(grey: NDArray[np.uint8], board: Board, legacy: bool) -> _Seen | tuple[str, str]:
     import cv2
 
     made = _opencv_board(board, legacy)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     detector = cv2.aruco.CharucoDetector(made, detectorParams=parameters)
-    corners, numbers, _, marker_numbers = detector.detectBoard(grey)
+    corners, numbers, markers, marker_numbers = detector.detectBoard(grey)
     if marker_numbers is None or len(marker_numbers) == 0:
         return "no_markers", f"no marker of {board.dictionary}"
     on_board = np.isin(np.ravel(marker_numbers), np.ravel(made.getIds()))
@@ -86,7 +127,12 @@ def _detect(
         )
     if corners is None or numbers is None or len(numbers) == 0:
         return "no_corners", f"{len(marker_numbers)} markers, but no chessboard corner between them"
-    return np.asarray(corners, dtype=np.float64).reshape(-1, 2), np.asarray(numbers, dtype=np.intp).ravel()
+    return _Seen(
+        np.asarray(corners, dtype=np.float64).reshape(-1, 2),
+        np.asarray(numbers, dtype=np.intp).ravel(),
+        np.asarray(markers, dtype=np.float64).reshape(-1, 4, 2)[on_board.ravel()],
+        np.ravel(marker_numbers)[on_board.ravel()].astype(np.intp),
+    )
 
 
 def _refined(grey: NDArray[np.uint8], board: Board, corners: FloatArray) -> FloatArray:
@@ -114,11 +160,11 @@ def _refined(grey: NDArray[np.uint8], board: Board, corners: FloatArray) -> Floa
 
 def _explain(grey: NDArray[np.uint8], board: Board, reason: str, detail: str) -> tuple[str, str]:
     """Look for what real sets get wrong: the other pattern, a mirrored picture, inverted colours."""
-    if reason == "no_corners" and not isinstance(_detect(grey, board, not board.legacy)[0], str):
+    if reason == "no_corners" and isinstance(_detect(grey, board, not board.legacy), _Seen):
         return "legacy_pattern", f"the board is there with legacy = {str(not board.legacy).lower()}"
     if reason == "no_markers":
-        if not isinstance(_detect(np.ascontiguousarray(grey[:, ::-1]), board, board.legacy)[0], str):
+        if isinstance(_detect(np.ascontiguousarray(grey[:, ::-1]), board, board.legacy), _Seen):
             return "mirrored", "the board is there when the picture is mirrored"
-        if not isinstance(_detect(255 - grey, board, board.legacy)[0], str):
+        if isinstance(_detect(255 - grey, board, board.legacy), _Seen):
             return "inverted", "the board is there when black and white are exchanged"
     return reason, detail

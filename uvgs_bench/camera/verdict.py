@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.camera.calibration import Verdict
-from uvgs_bench.camera.fitting import CalibrationResult
+from uvgs_bench.camera.fitting import MIN_VIEWS, CalibrationResult
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.camera.projection_uncertainty import picture_grid, projection_uncertainty, worst_sigma
 from uvgs_bench.camera.residual_structure import Coverage, cell_centres_px
@@ -107,9 +107,13 @@ def judge_calibration(result: CalibrationResult) -> Verdict:
             else f"boards covered the picture only within {covered_px:.0f} px of the principal point{towards}"
         )
         refused.append(f"{what}, less than {100 * LEAST_SHARE:.0f} % of the {whole_px:.0f} px to its {edge}")
-    if result.split_half is None:
+    if result.split_half is None and result.calibration.view_count < 2 * MIN_VIEWS:
         few = f"{result.calibration.view_count} views are too few to hold one half against the other"
         return Verdict("inconclusive", 0.0, (few, *refused, *_remarks(result)), wishes)
+    if result.split_half is None:
+        alone = "halves of the pictures cannot be calibrated by themselves: nothing holds the deviations to account"
+        word = "not_usable" if refused else "inconclusive"
+        return Verdict(word, 0.0, (*refused, alone, *_remarks(result)), wishes)
     if refused:
         return Verdict("not_usable", 0.0, (*refused, *_remarks(result)), wishes)
     worst = float(np.nanmax(total_error_px(result, _within(result, radius_px))))
@@ -228,6 +232,8 @@ def _remarks(result: CalibrationResult) -> list[str]:
             f"neighbouring residuals share {result.structure.systematic_px:.2f} px (correlation "
             f"{result.structure.neighbour_correlation:.2f}): board not flat, blur, or lens model"
         )
+    said.append("the size of the squares was not tested: no camera sees it, and the lens does not depend on it, but "
+                "every pose of this board does")  # fmt: skip
     return said
 
 

@@ -223,6 +223,23 @@ def test_charuco_misfits_are_named():
     assert reason(picture(even), replace(even, legacy=True)) in ("legacy_pattern", "board_mismatch", "no_corners")
 
 
+@pytest.mark.parametrize(
+    "board", [CHARUCO, Board("april", "aprilgrid", 5, 4, 0.045, 0.035)], ids=["charuco", "aprilgrid"]
+)
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_markers_of_another_share_than_declared_are_named(board, factor):
+    grey = picture(board)
+    assert isinstance(find_board(grey, board), BoardView)
+    # Five percent: a square of 30 mm declared as 31.5 mm, or a marker measured a millimetre wrong.
+    wrong = replace(board, square_m=board.square_m * factor)
+    answer = find_board(grey, wrong, "x")
+    assert isinstance(answer, BoardMiss)
+    assert answer.reason == "marker_ratio"
+    seen = float(answer.detail.split()[2])
+    # A hundredth of the share: a quarter of a pixel of marker or square.
+    assert seen == pytest.approx(board.marker_m / board.square_m, rel=0.01)
+
+
 def test_impossible_boards_are_refused():
     with pytest.raises(CalibrationError, match="unknown board kind"):
         Board("b", "checker", 9, 6, 0.025)
