@@ -37,26 +37,28 @@ def lag_of(obs: Observations, moving: ErrorTable, registration: Registration) ->
     if moving.count == 0:
         return Estimate(np.nan, -np.inf, np.inf, 0, 0, _STILL)
     e = moving.translation_error_m
-    names, index = np.unique(_parts(moving, obs.session, e)[0], return_inverse=True)
-    S, n = len(names), moving.count
+    n = moving.count
     v = _camera_velocity(obs, registration)
     centred_v, centred_e = v - v.mean(axis=0), e - e.mean(axis=0)
     power = float((centred_v**2).sum())
     if power < _BOTH_WAYS * float((v**2).sum()):
         note = "captures in motion must go both ways: a lag cannot be told from a shift"
-        return Estimate(np.nan, -np.inf, np.inf, S, n, note)
+        return Estimate(np.nan, -np.inf, np.inf, len(np.unique(moving.place)), n, note)
     fitted = registration.time_offset_s.value if registration.time_offset_s is not None else 0.0
     residual_lag = -float((centred_v * centred_e).sum()) / power
     value = residual_lag + fitted
-    if S < LEAST_PLACES:
-        note = f"only {S} places passed in motion, at least {LEAST_PLACES} are needed for an interval"
-        return Estimate(value, -np.inf, np.inf, S, n, note)
     rest = centred_e + residual_lag * centred_v
+    part, worth = _parts(moving, obs.session, rest)
+    names, index = np.unique(part, return_inverse=True)
+    S = len(names)
+    if S < LEAST_PLACES:
+        note = f"only {S} independent parts in motion, at least {LEAST_PLACES} are needed for an interval"
+        return Estimate(value, -np.inf, np.inf, S, n, note, worth)
     scores = np.bincount(index, (centred_v * rest).sum(axis=1), S)
     # Two fitted figures along the direction of motion: the lag and a constant.
     sigma = float(np.sqrt(S / (S - 2.0) * (scores**2).sum())) / power
     reach = float(stats.t.ppf(1.0 - TAIL, S - 2)) * sigma
-    return Estimate(value, value - reach, value + reach, S, n)
+    return Estimate(value, value - reach, value + reach, S, n, "", worth)
 
 
 def _camera_velocity(obs: Observations, registration: Registration) -> FloatArray:

@@ -13,6 +13,8 @@ from uvgs_bench.geometry import FloatArray
 
 # The sum of correlations is cut where the lag exceeds this many times the sum so far.
 _WINDOW = 5.0
+# Neighbours of an independent series are correlated by less than this over the root of its length, mostly.
+_CHANCE = 2.0
 # Blocks this many times the integrated autocorrelation time: five correlation times of an exponential decay.
 _BLOCK = 2.5
 
@@ -32,17 +34,21 @@ def correlation_time(values: FloatArray, stretch: NDArray[np.int64]) -> float:
     longest = int(np.unique(stretch, return_counts=True)[1].max()) if len(values) else 0
     if power <= 0.0 or longest < 3:
         return 1.0
-    time = 1.0
+    time, count = 1.0, len(values)
     for lag in range(1, longest // 3 + 1):
         same = stretch[lag:] == stretch[:-lag]
         pairs = int(same.sum())
         if pairs == 0:
             break
         # Divided by all captures of the series: pairs at long lags are few and noisy, so they weigh less.
-        time += 2.0 * float((centred[lag:] * centred[:-lag])[same].sum()) / (len(values) * power)
+        correlation = float((centred[lag:] * centred[:-lag])[same].sum()) / (count * power)
+        if lag == 1 and correlation < _CHANCE / count**0.5:
+            return 1.0
+        time += 2.0 * correlation
         if lag >= _WINDOW * time:
             break
-    return max(time, 1.0)
+    # The mean was taken from the same captures, which makes every correlation too low by about time / n.
+    return max(time * (1.0 + 2.0 * lag / count), 1.0)
 
 
 def time_blocks(values: FloatArray, stretch: NDArray[np.int64]) -> tuple[NDArray[np.int64], float]:
