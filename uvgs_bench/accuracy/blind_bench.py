@@ -375,7 +375,7 @@ def _answered(
     is_solved &= ~is_refused
     for values in (R, t, covariance):
         values[~is_solved] = np.nan
-    words = np.where(is_solved, "", np.where(is_refused, "validation/chi2", "correspondence/too_few_leds"))
+    words = np.where(is_solved, "", np.where(is_refused, "validate/residual_too_large", "selection/too_few_blobs"))
     return Observations(
         station=of_station.astype(np.int64),
         role=tuple(stations.role[s] for s in of_station.tolist()),

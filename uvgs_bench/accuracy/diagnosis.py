@@ -12,7 +12,7 @@ a model (1978).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from uvgs_bench.accuracy.least_squares import usual_distance
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_sensitivity import pose_pixel_jacobian
 from uvgs_bench.accuracy.registration import Registration
+from uvgs_bench.accuracy.suspects import Suspect, of_refusals, of_turned_poses
 from uvgs_bench.accuracy.tangent import hats
 from uvgs_bench.accuracy.variance_components import Visits, fit_scatter, means, visits_of, whitened
 from uvgs_bench.camera.lens import Lens
@@ -36,58 +37,36 @@ _MOST_SUSPECTS = 4
 _CLEARLY = 6.0
 _RANK = 1e-6
 _LEAST_EIGENVALUE = 1e-12
-# Residuals six times as long as usual do not come by chance.
-_GROSS_CHANCE = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class Suspect:
-    """One cause that stands out.
-
-    Args:
-        cause: Stable word.
-        title: What seems wrong, in words.
-        p_value: Chance of such residuals on a clean bench, all causes tested taken together.
-        effect_position_m: Root mean square of what it does to position errors after registration, m.
-        estimate: Its size in ``unit``; the length where it is a vector.
-        low: Lower end of its 95 % interval in ``unit``.
-        high: Upper end.
-        unit: ``%``, ``mrad``, ``mm``, ``mm/h``, ``ms``, ``px``, or empty for a plain number.
-        evidence: What one sees of it, one line.
-        check: What would confirm it, one line.
-        rank: 1 for the likeliest.
-        alternatives: Titles of causes these data cannot tell from it.
-    """
-
-    cause: str
-    title: str
-    p_value: float
-    effect_position_m: float
-    estimate: float
-    low: float
-    high: float
-    unit: str
-    evidence: str
-    check: str
-    rank: int
-    alternatives: tuple[str, ...] = ()
 
 
 def diagnose(
-    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+    obs: Observations, registration: Registration | None, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
 ) -> tuple[Suspect, ...]:
-    """Name what the residuals of a registration point to.
+    """Name what the residuals of a registration, and the refusals of the sensor, point to.
 
     Args:
         obs: Captures, misses included; those that registered may and should be among them.
-        registration: Their registration.
+        registration: Their registration; without one only the refusals speak.
         lens: The lens the sensor was told.
         leds_m: LED positions it was told, beacon frame, shape (L, 3), m.
         led_names: Names of the LEDs, length L.
 
     Returns:
-        Suspects, the likeliest first; empty when nothing stands out or there are fewer than ``LEAST_VISITS`` visits.
+        Suspects, the likeliest first; empty when nothing stands out. Fewer than ``LEAST_VISITS`` visits with a pose say
+        nothing by their residuals.
     """
+    found = () if registration is None else _by_residuals(obs, registration, lens, leds_m, led_names)
+    refused = of_refusals(obs)
+    if refused is not None and all(suspect.cause != refused.cause for suspect in found):
+        # When most captures are refused, the poses of the others are what the same cause has left of them.
+        found = (refused, *found) if 2 * int(obs.is_solved.sum()) < obs.count else (*found, refused)
+    return tuple(replace(suspect, rank=k + 1) for k, suspect in enumerate(found))
+
+
+def _by_residuals(
+    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+) -> tuple[Suspect, ...]:
+    """Suspects by what the poses say."""
     data = obs.select(obs.is_solved)
     data = data.select(_can_be_seen(data, registration, lens, leds_m))
     if len(np.unique(data.station)) < LEAST_VISITS:
@@ -97,11 +76,11 @@ def diagnose(
     distance = np.linalg.norm(np.linalg.solve(L, residual[:, :, None])[:, :, 0], axis=1)
     turned = is_turned_away(residual, distance, usual_distance(distance, np.ones(data.count)))
     kept = data.select(~turned)
-    suspects = [_wrong_labels(data, turned)] if turned.any() else []
-    if len(np.unique(kept.station)) >= LEAST_VISITS:
-        possible = signatures(kept, registration, lens, leds_m, led_names)
-        suspects += _Search(kept, registration, lens, leds_m, possible).suspects(len(suspects))
-    return tuple(suspects)
+    wrong = (of_turned_poses(data, turned),) if turned.any() else ()
+    if len(np.unique(kept.station)) < LEAST_VISITS:
+        return wrong
+    possible = signatures(kept, registration, lens, leds_m, led_names)
+    return wrong + _Search(kept, registration, lens, leds_m, possible).suspects()
 
 
 class _Search:
@@ -138,7 +117,7 @@ class _Search:
                 self.possible.append(signature)
                 self.columns.append(columns)
 
-    def suspects(self, already: int) -> list[Suspect]:
+    def suspects(self) -> tuple[Suspect, ...]:
         """The search: the best cause, then the best for what it leaves, until nothing stands out."""
         basis, left = self.basis, self.left
         chosen: list[int] = []
@@ -169,7 +148,7 @@ class _Search:
             basis, left = with_best, rest
             # Another instant, LED or axis of the same cause may still be named, but not one the first has used up.
             open_ones = [k for k in open_ones if k != best and not (cause == "slip" == self.possible[k].cause)]
-        return self._described(chosen, found, already)
+        return self._described(chosen, found)
 
     def _gain(self, basis: FloatArray, left: FloatArray, k: int) -> float:
         """How much of the squared residual a cause explains beside a basis."""
@@ -188,13 +167,11 @@ class _Search:
         count: int = self.columns[k].shape[1]
         return count * float(np.log(self.count)) + 2.0 * float(np.log(self.possible[k].rivals))
 
-    def _described(
-        self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]], already: int
-    ) -> list[Suspect]:
+    def _described(self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]]) -> tuple[Suspect, ...]:
         from scipy.stats import t as student
 
         if not chosen:
-            return []
+            return ()
         design = np.concatenate([self.registering, *(self.columns[k] for k in chosen)], axis=1)
         length = np.linalg.norm(design, axis=0)
         length[length == 0.0] = 1.0
@@ -223,11 +200,11 @@ class _Search:
                     unit=signature.unit,
                     evidence=f"{signature.sign}; it explains {gain / total:.0%} of the squared residuals",
                     check=signature.check,
-                    rank=already + place + 1,
+                    rank=place + 1,
                     alternatives=like,
                 )
             )
-        return suspects
+        return tuple(suspects)
 
     def _effect_m(self, k: int, theta: FloatArray) -> float:
         """Root mean square of the position errors a cause leaves once a registration has absorbed what it can."""
@@ -255,11 +232,11 @@ def _explained(visits: Visits, averaged: list[FloatArray]) -> tuple[FloatArray, 
 def _can_be_seen(obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray) -> NDArray[np.bool_]:
     """Captures whose prediction the lens can show with all LEDs, and whose pose that would tell, shape (N,)."""
     J, _ = pose_pixel_jacobian(lens, leds_m, *registration.predict(obs))
-    is_finite = np.isfinite(J).all(axis=(1, 2, 3))
+    is_finite = np.isfinite(J.sum(axis=(1, 2, 3)))
     information = np.einsum("nkui,nkuj->nij", J[is_finite], J[is_finite])
     scale = np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300))
-    least = np.linalg.eigvalsh(information / scale[:, :, None] / scale[:, None, :])[:, 0]
-    seen = is_finite.copy()
+    least: FloatArray = np.linalg.eigvalsh(information / scale[:, :, None] / scale[:, None, :])[:, 0]
+    seen = np.zeros(len(J), dtype=np.bool_)
     seen[is_finite] = least > _LEAST_EIGENVALUE
     return seen
 
@@ -304,26 +281,3 @@ def _size_and_half(theta: FloatArray, C: FloatArray, reach: float) -> tuple[floa
     length = float(np.linalg.norm(theta))
     along = theta / max(length, 1e-300)
     return length, reach * float(np.sqrt(along @ C @ along))
-
-
-def _wrong_labels(data: Observations, turned: NDArray[np.bool_]) -> Suspect:
-    """Poses that are another one altogether: their count with its exact interval."""
-    from scipy.stats import beta
-
-    n, k = len(turned), int(turned.sum())
-    low = float(beta.ppf(0.025, k, n - k + 1))
-    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
-    visits = len(np.unique(data.station[turned]))
-    return Suspect(
-        cause="wrong_labels",
-        title="some poses are other poses altogether, as exchanged LEDs give",
-        p_value=_GROSS_CHANCE,
-        effect_position_m=float("nan"),
-        estimate=100.0 * k / n,
-        low=100.0 * low,
-        high=100.0 * high,
-        unit="%",
-        evidence=f"{k} of {n} poses at {visits} stations are turned and shifted far beyond their stated doubt",
-        check="look at the overlays of these captures; ask for a larger margin between labels",
-        rank=1,
-    )

@@ -9,13 +9,14 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, Estimate
-from uvgs_bench.accuracy.diagnosis import LEAST_VISITS, Suspect, diagnose
+from uvgs_bench.accuracy.diagnosis import LEAST_VISITS, diagnose
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
 from uvgs_bench.accuracy.quantities import Quantity, quantities
 from uvgs_bench.accuracy.quantity_catalogue import LIMITABLE
 from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
 from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
+from uvgs_bench.accuracy.suspects import Suspect
 from uvgs_bench.accuracy.uncertainty import Budget
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.lens import Lens
@@ -208,7 +209,17 @@ def judge(
         alerts.append(Alert("error", f"no registration, hence no accuracy: {error}"))
         verdicts = tuple(_limit_verdict(limit, None, found, ()) for limit in limits)
         return Judgement(
-            None, None, None, None, None, found, verdicts, _overall(verdicts), _sorted(alerts), "nothing to judge"
+            None,
+            None,
+            None,
+            None,
+            None,
+            found,
+            verdicts,
+            _overall(verdicts),
+            _sorted(alerts),
+            "nothing to judge",
+            diagnosis=_diagnosis(obs, None, lens, beacon),
         )
     in_sample = error_table(fitted_on, registration)
     summary = summarise(table, rng)
@@ -222,9 +233,7 @@ def judge(
         )
     if not limits:
         alerts.append(Alert("note", "no limits were given: there is nothing to pass or fail"))
-    suspects: tuple[Suspect, ...] = ()
     if lens is not None and beacon is not None:
-        suspects = diagnose(obs, registration, lens, beacon.positions_m, beacon.led_names)
         visits = len(np.unique(obs.station[obs.is_solved]))
         if visits < LEAST_VISITS:
             alerts.append(Alert("note", f"only {visits} stations have a pose: diagnosis needs {LEAST_VISITS}"))
@@ -240,8 +249,16 @@ def judge(
         alerts=_sorted(alerts),
         split=split,
         quantities=named,
-        diagnosis=suspects,
+        diagnosis=_diagnosis(obs, registration, lens, beacon),
     )
+
+
+def _diagnosis(
+    obs: Observations, registration: Registration | None, lens: Lens | None, beacon: Beacon | None
+) -> tuple[Suspect, ...]:
+    if lens is None or beacon is None:
+        return ()
+    return diagnose(obs, registration, lens, beacon.positions_m, beacon.led_names)
 
 
 def _register_and_judge(
