@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, Estimate
-from uvgs_bench.accuracy.diagnosis import LEAST_VISITS, diagnose
+from uvgs_bench.accuracy.diagnosis import diagnose
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
 from uvgs_bench.accuracy.quantities import Quantity, quantities
@@ -233,10 +233,6 @@ def judge(
         )
     if not limits:
         alerts.append(Alert("note", "no limits were given: there is nothing to pass or fail"))
-    if lens is not None and beacon is not None:
-        visits = len(np.unique(obs.station[obs.is_solved]))
-        if visits < LEAST_VISITS:
-            alerts.append(Alert("note", f"only {visits} stations have a pose: diagnosis needs {LEAST_VISITS}"))
     return Judgement(
         registration=registration,
         in_sample_table=in_sample,
