@@ -19,6 +19,9 @@ AREA, SUM_X, SUM_Y, X0, Y0, X1, Y1, PERIMETER, COMPONENT_COLUMNS = 0, 1, 2, 3, 4
 _CLOSER_PX = (15, 8)
 # There a light must be so much higher than elsewhere, because specks stand alone in narrow windows.
 _CLOSER_FLOOR = 2.0
+# A light is wide when 4 px from its top this share of its height is left, and alone when nothing on the rim of its window
+# is higher than the other share.
+_SHOULDER, _RIM = 0.7, 0.6
 # Two peaks are two lights when the picture between them falls by this share of the lower one's height.
 _SADDLE = 0.1
 # Places higher than this are not looked at for two lights, px.
@@ -70,14 +73,41 @@ def _surroundings(image: ImageArray, y: int, x: int, half: int) -> tuple[float, 
         return mean, sigma, float(peak), 0.0
     background = total / dark
     noise = sqrt(max(square / dark - background * background, 0.0))
-    # The top of a wide light is surrounded by its own flank, which is no texture.
-    rim = background + 0.7 * (peak - background)
-    for v, u in ((y - 4, x), (y + 4, x), (y, x - 4), (y, x + 4)):
-        if v >= 0 and v < height and u >= 0 and u < width and float(image[v, u]) < rim:
-            # Of a normal distribution cut in the middle 0.6 of the deviation is left.
-            noise /= min(max(0.8 * dark / n + 0.2, 0.6), 1.0)
-            break
+    if not _is_wide_light(image, y, x, half, background):
+        # Of a normal distribution cut in the middle 0.6 of the deviation is left.
+        noise /= min(max(0.8 * dark / n + 0.2, 0.6), 1.0)
     return mean, sigma, background, noise
+
+
+@compiled
+def _is_wide_light(image: ImageArray, y: int, x: int, half: int, background: float) -> bool:
+    """Whether a peak is high all about it, and a flat top or the only high place up to the rim of its window.
+
+    Then what is dark there is its flank, and no texture: bumps as wide as that are round and have others beside them.
+    """
+    height, width = image.shape
+    rise = float(image[y, x]) - background
+    shoulder = background + _SHOULDER * rise
+    flat = 0
+    for v, u in ((y - 4, x), (y + 4, x), (y, x - 4), (y, x + 4)):
+        if v >= 0 and v < height and u >= 0 and u < width:
+            if float(image[v, u]) < shoulder:
+                return False
+            flat += image[v, u] == image[y, x]
+    if flat >= 2:
+        return True
+    level = background + _RIM * rise
+    x0 = max(0, x - half)
+    x1 = min(width, x + half + 1)
+    y0 = max(0, y - half)
+    y1 = min(height, y + half + 1)
+    for u in range(x0, x1, 2):
+        if float(image[y0, u]) > level or float(image[y1 - 1, u]) > level:
+            return False
+    for v in range(y0, y1, 2):
+        if float(image[v, x0]) > level or float(image[v, x1 - 1]) > level:
+            return False
+    return True
 
 
 @compiled
