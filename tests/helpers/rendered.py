@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import functools
+import hashlib
 import io
 import json
+import re
 from collections import Counter
 from html.parser import HTMLParser
 from typing import Any
@@ -12,7 +15,7 @@ from typing import Any
 from pypdf import PdfReader
 
 from uvgs_bench.report.document import Document
-from uvgs_bench.report.html import render_html
+from uvgs_bench.report.html import TEMPLATES, render_html
 from uvgs_bench.report.json_export import render_json
 from uvgs_bench.report.pdf import render_pdf
 
@@ -120,10 +123,26 @@ def missing_in_pdf(pdf: bytes, data: dict[str, Any]) -> list[tuple[str, str]]:
     return missing
 
 
+def check_only_own_scripts(page: str) -> None:
+    """Every script stands in the page, is one of ours to the letter, and is what the page's policy allows."""
+    allowed = set(re.findall(r"'(sha256-[^']+)'", page[: page.index("<title>")]))
+    own = {path.read_text(encoding="utf-8") for path in TEMPLATES.rglob("*.js")}
+    found = re.findall(r"<script([^>]*)>(.*?)</script>", page, flags=re.DOTALL)
+    assert page.lower().count("<script") == len(found)
+    for attributes, text in found:
+        if "application/json" in attributes:
+            json.loads(text)
+            continue
+        assert attributes == ""
+        assert text in own
+        assert "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() in allowed
+
+
 def check_page_is_whole(page: str, document: Document) -> None:
     """The page needs nothing but itself, names its pictures, and its links arrive."""
     found = Page(page)
-    assert not found.tags & Counter({"script": 1, "link": 1, "iframe": 1, "object": 1})
+    assert not found.tags & Counter({"link": 1, "iframe": 1, "object": 1})
+    check_only_own_scripts(page)
     assert [name for name, count in Counter(found.ids).items() if count > 1] == []
     assert {link for link in found.links if link.startswith("#")} <= {f"#{name}" for name in found.ids}
     assert len(found.svgs) == len(document.figures())

@@ -14,6 +14,8 @@ SCHEMA = 1
 """Version of the exported structure; it grows when a reader of old exports would misread a new one."""
 
 Level = Literal["info", "warning", "danger"]
+Live = Literal["", "zoom", "space"]
+"""What a script may add to a drawing: nothing; a chart that zooms; a view in space that turns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +150,10 @@ class Figure:
         alt: The message of the figure in words with numbers, for those who cannot see it.
         caption: What is drawn, with units.
         series: The numbers drawn.
+        live: What a script on the page may make of them; the drawing always stands without it. For ``zoom`` every
+            series in seconds begins a group, and those after it are drawn over it. For ``space`` the series are, in
+            camera axes, x, y, z of the stations in m, x, y, z of their mean errors in mm, then x, y, z in m of the
+            stations that registered, and how many times longer than true errors are drawn.
 
     Raises:
         ValueError: No alternative text, or no drawing.
@@ -158,6 +164,7 @@ class Figure:
     alt: str
     caption: str
     series: tuple[Series, ...] = ()
+    live: Live = ""
 
     def __post_init__(self) -> None:
         if not self.alt.strip():
@@ -173,6 +180,7 @@ class Figure:
             "alt": self.alt,
             "caption": self.caption,
             "series": [series.data() for series in self.series],
+            "live": self.live,
         }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from uvgs_bench.accuracy.statistics import Estimate
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.cells import Interval, Measured, Number, decimals_for
-from uvgs_bench.units import deg_from_rad, mm_from_m
+from uvgs_bench.units import deg_from_rad, mm_from_m, ms_from_s
 
 COMPONENT_WORDS = {
     "lateral_x": "lateral x (right)",
@@ -58,6 +58,7 @@ class Scale:
 SCALES = {
     "m": Scale("mm", mm_from_m(1.0)),
     "rad": Scale("deg", deg_from_rad(1.0)),
+    "s": Scale("ms", ms_from_s(1.0)),
     "1": Scale("", 1.0),
     "percent": Scale("%", 100.0),
 }

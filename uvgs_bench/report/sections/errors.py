@@ -120,7 +120,13 @@ def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> 
         f"Length of the position error over {held_s.max():.0f} s of the run. Held-out captures: median {early:.3g} mm "
         f"in the first half, {np.median(held_mm[half:]):.3g} mm in the second."
     )
-    data = [series("time", "s", held_s), series("position error", "mm", held_mm)]
+    parts_mm = mm_from_m(table.translation_error_m)
+    data = [
+        series("time", "s", held_s),
+        series("position error", "mm", held_mm),
+        *(series(name, "mm", parts_mm[:, k]) for k, name in enumerate(_POSITION)),
+        series("attitude error", "deg", deg_from_rad(table.attitude_error_rad)),
+    ]
     with style(key):
         figure = canvas(height_in=2.9)
         axes = figure.add_subplot()
@@ -129,7 +135,11 @@ def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> 
             shown = thinned(fitted.count)
             fitted_s, fitted_mm = _seconds(fitted, start), mm_from_m(fitted.position_error_m)
             axes.plot(fitted_s[shown], fitted_mm[shown], "x", color=FAINT, ms=4, label="in sample")
-            data += [series("time in sample", "s", fitted_s), series("position error in sample", "mm", fitted_mm)]
+            data += [
+                series("time in sample", "s", fitted_s),
+                series("position error in sample", "mm", fitted_mm),
+                series("attitude error in sample", "deg", deg_from_rad(fitted.attitude_error_rad)),
+            ]
         shown = thinned(table.count)
         axes.plot(held_s[shown], held_mm[shown], "o", color=SERIES[0], ms=3.4, mew=0, alpha=0.8, label="held out")
         axes.set_ylim(bottom=0.0)
@@ -137,7 +147,8 @@ def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> 
         axes.set_ylabel("position error (mm)")
         legend_above(axes, 2)
         svg = svg_of(figure, key, alt)
-    return Figure(key, svg, alt, "Length of the position error over the run; a trend points at drift.", tuple(data))
+    caption = "Length of the position error over the run; a trend points at drift."
+    return Figure(key, svg, alt, caption, tuple(data), live="zoom")
 
 
 def _seconds(table: ErrorTable, start_ns: int) -> FloatArray:

@@ -12,7 +12,7 @@ from uvgs_bench.sensor.outcome import Miss
 from uvgs_bench.store.run import Run, Sample
 
 _LISTED = 20
-_PICTURED = 3
+_PICTURED = 12
 
 
 def build(run: Run, judgement: Judgement) -> Section | None:

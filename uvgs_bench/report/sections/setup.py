@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.devices.gantry.axes import Axis
+from uvgs_bench.report.bench_drawing import bench_figure
 from uvgs_bench.report.cells import Cell, Number
-from uvgs_bench.report.document import Column, Section, Table
+from uvgs_bench.report.document import Block, Column, Section, Table
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, s_from_ns
 
 
 def build(run: Run, judgement: Judgement) -> Section | None:
-    """Procedure, devices, axes, progress."""
-    del judgement
-    return Section("setup", "Set-up", (_run_table(run), _axes_table(run.manifest.axes)))
+    """A picture of the bench, procedure, devices, axes, progress."""
+    blocks: list[Block] = []
+    drawing = None if judgement.registration is None else bench_figure(run, judgement.registration)
+    if drawing is not None:
+        blocks.append(drawing)
+    blocks += [_run_table(run), _axes_table(run.manifest.axes)]
+    return Section("setup", "Set-up", tuple(blocks))
 
 
 def _run_table(run: Run) -> Table:

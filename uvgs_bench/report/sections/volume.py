@@ -88,7 +88,12 @@ def _view_3d(places: FloatArray, errors: FloatArray, fitted: FloatArray, magnifi
         figure.legend(loc="upper left", ncols=3, handletextpad=0.3, columnspacing=0.9, borderaxespad=0.2)
         svg = svg_of(figure, key, alt)
     caption = f"Stations in the camera frame with their mean error vectors, {magnification:g} times as long as true."
-    return Figure(key, svg, alt, caption, _data(places, errors))
+    data = (
+        *_data(places, errors),
+        *(series(f"registered at {n}", "m", fitted[:, k]) for k, n in enumerate("xyz")),
+        series("length drawn", "1", [magnification]),
+    )
+    return Figure(key, svg, alt, caption, data, live="space")
 
 
 def _plane(

@@ -16,7 +16,6 @@ from uvgs_bench.store.run import Run, Sample
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
 _LISTED = 10
-_PICTURED = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +66,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     blocks: list[Block] = [
         Table("The held-out captures with the largest position errors.", columns, tuple(_row(w) for w in worst))
     ]
-    pictures = tuple(p for w in worst if (p := _picture(run, w)) is not None)[:_PICTURED]
+    pictures = tuple(p for w in worst if (p := _picture(run, w)) is not None)
     if pictures:
         blocks.append(Paragraph("Circles: LEDs as observed. Crosses: where the registration expects them."))
         blocks.append(Gallery(pictures))
