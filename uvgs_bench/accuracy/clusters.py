@@ -72,11 +72,25 @@ class Clusters:
         Returns:
             The clusters.
         """
+        counted = cls.counted(place)
+        S = counted.count
+        draws = rng.multinomial(S, np.full(S, 1.0 / S), size=_RESAMPLES) if S else np.empty((_RESAMPLES, 0))
+        return cls(counted.index, counted.size, draws.astype(np.float64), rng.normal(size=(_RESAMPLES, _PARAMETERS)))
+
+    @classmethod
+    def counted(cls, place: NDArray[np.int64]) -> Clusters:
+        """Group captures by place without drawing: enough for intervals by order and for fractions.
+
+        Args:
+            place: Place of each capture, shape (n,).
+
+        Returns:
+            The clusters, with no resamples.
+        """
         names, index = np.unique(place, return_inverse=True)
         S = len(names)
         size = np.bincount(index, minlength=S).astype(np.float64)
-        draws = rng.multinomial(S, np.full(S, 1.0 / S), size=_RESAMPLES) if S else np.empty((_RESAMPLES, 0))
-        return cls(index, size, draws.astype(np.float64), rng.normal(size=(_RESAMPLES, _PARAMETERS)))
+        return cls(index, size, np.empty((0, S)), np.empty((0, _PARAMETERS)))
 
     @property
     def count(self) -> int:

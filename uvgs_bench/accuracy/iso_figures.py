@@ -71,6 +71,8 @@ def direction_variation(errors: FloatArray, approach: NDArray[np.int8]) -> float
         vAP, m; NaN when all come from one direction or it is not known.
     """
     known = (approach != 0).any(axis=1)
+    if not known.any():
+        return float("nan")
     ways = np.unique(approach[known], axis=0)
     if len(ways) < 2:
         return float("nan")

@@ -46,12 +46,13 @@ def quantile_interval(sizes: FloatArray, level: float, clusters: Clusters) -> Es
     return clusters.estimate(value, min(low, value), max(high, value), worth=trials)
 
 
-def max_interval(sizes: FloatArray, clusters: Clusters) -> Estimate:
+def max_interval(sizes: FloatArray, clusters: Clusters, things: str = "independent captures") -> Estimate:
     """The largest value, with what it says about values not taken.
 
     Args:
         sizes: Absolute values, shape (n,), n >= 1.
         clusters: Their places.
+        things: What is counted, in words.
 
     Returns:
         The estimate: bounded by the largest value itself when 95 % of all values lie below it with 95 % confidence
@@ -63,7 +64,7 @@ def max_interval(sizes: FloatArray, clusters: Clusters) -> Estimate:
         return clusters.estimate(value, value, value, worth=trials)
     covered = 100.0 * (2.0 * TAIL) ** (1.0 / trials)
     note = (
-        f"worth {trials} independent captures: {covered:.0f} % of all errors lie below it with 95 % confidence, "
+        f"worth {trials} {things}: {covered:.0f} % of all lie below it with 95 % confidence, "
         f"{_LEAST_FOR_MAX} are needed for 95 %"
     )
     return clusters.estimate(value, value, np.inf, note, trials)

@@ -30,7 +30,7 @@ from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.accuracy.quantity_catalogue import TEXTS, Quantity, quantity
 from uvgs_bench.accuracy.registration import Registration
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.units import rad_from_deg, s_from_ns
+from uvgs_bench.units import NS_PER_S, rad_from_deg
 
 __all__ = ["Quantity", "quantities"]
 
@@ -69,12 +69,12 @@ def quantities(
         for part in (
             _absolute(still, clusters),
             _relative(still),
-            _iso_9283(still, obs.approach[resting], clusters, rng),
+            _iso_9283(still, obs.approach[resting], clusters),
             _over_time(obs, still, resting, clusters),
         ):
             found.update(part)
-    found["availability"] = _fraction(table.is_solved, table.place, rng)
-    found["false_fix"] = _false_fixes(table, rng)
+    found["availability"] = _fraction(table.is_solved, table.place)
+    found["false_fix"] = _false_fixes(table)
     moving = table.is_solved & is_moving
     passing = table.select(moving)
     found["lag"] = lag_of(obs.select(moving), passing, registration)
@@ -107,54 +107,66 @@ def _relative(still: ErrorTable) -> Found:
     yield "rd_rms", repeatability
 
 
-def _iso_9283(still: ErrorTable, approach: NDArray[np.int8], clusters: Clusters, rng: np.random.Generator) -> Found:
+def _iso_9283(still: ErrorTable, approach: NDArray[np.int8], clusters: Clusters) -> Found:
     shift, turn = still.translation_error_m, still.rotation_error_rad
     rows = [np.flatnonzero(clusters.index == s) for s in range(clusters.count)]
     enough = [at for at in rows if len(at) >= LEAST_CYCLES]
     cycles = int(np.median([len(at) for at in enough])) if enough else 0
     few = f"{cycles} captures at a typical place; the standard asks for 30" if 0 < cycles < 30 else ""
     none = f"needs places with {LEAST_CYCLES} captures or more"
+    one_way = "needs places that were reached from more than one direction"
+    # The registration's error moves places together; no comparison of places shows it.
+    shared_m = float(np.sqrt((still.registration_sigma_m**2).mean()))
+    shared_rad = float(np.sqrt((still.registration_sigma_rad**2).mean()))
 
-    def over(
-        places: list[NDArray[np.intp]], figure: Callable[[NDArray[np.intp]], float], reason: str, note: str = ""
-    ) -> tuple[Estimate, Estimate]:
-        """Median and largest over places."""
-        values = np.array([figure(at) for at in places])
-        known = np.isfinite(values)
-        if not known.any():
-            nothing = Estimate(np.nan, 0.0, np.inf, 0, 0, reason)
-            return nothing, nothing
-        chosen = Clusters.of(np.flatnonzero(known).astype(np.int64), rng)
-        captures = int(sum(len(at) for at, is_known in zip(places, known, strict=True) if is_known))
-        median, largest = quantile_interval(values[known], 0.5, chosen), max_interval(values[known], chosen)
-        return tuple(  # type: ignore[return-value]
-            Estimate(e.value, e.low, e.high, e.station_count, captures, "; ".join(filter(None, (e.note, note))))
-            for e in (median, largest)
-        )
-
-    median, largest = over(rows, lambda at: pose_accuracy(shift[at]), _NOBODY)
+    median, largest = _over_places(rows, lambda at: pose_accuracy(shift[at]), _NOBODY, shared=shared_m)
     yield "ap_position_median", median
     yield "ap_position_max", largest
-    yield "ap_attitude_max", over(rows, lambda at: pose_accuracy(turn[at]), _NOBODY)[1]
-    median, largest = over(enough, lambda at: pose_repeatability(shift[at]), none, few)
+    yield "ap_attitude_max", _over_places(rows, lambda at: pose_accuracy(turn[at]), _NOBODY, shared=shared_rad)[1]
+    median, largest = _over_places(enough, lambda at: pose_repeatability(shift[at]), none, few)
     yield "rp_position_median", median
     yield "rp_position_max", largest
-    yield "rp_attitude_max", over(enough, lambda at: angular_repeatability(turn[at]), none, few)[1]
-    one_way = "needs places that were reached from more than one direction"
-    yield "vap_position", over(rows, lambda at: direction_variation(shift[at], approach[at]), one_way)[1]
+    yield "rp_attitude_max", _over_places(enough, lambda at: angular_repeatability(turn[at]), none, few)[1]
+    yield "vap_position", _over_places(rows, lambda at: direction_variation(shift[at], approach[at]), one_way)[1]
+
+
+def _over_places(
+    places: list[NDArray[np.intp]],
+    figure: Callable[[NDArray[np.intp]], float],
+    reason: str,
+    note: str = "",
+    shared: float = 0.0,
+) -> tuple[Estimate, Estimate]:
+    """Median and largest over places of a figure that each place has; ``shared`` is a doubt common to all of them."""
+    values = np.array([figure(at) for at in places])
+    known = np.isfinite(values)
+    if not known.any():
+        nothing = Estimate(np.nan, 0.0, np.inf, 0, 0, reason)
+        return nothing, nothing
+    chosen = Clusters.counted(np.flatnonzero(known))
+    captures = sum(len(at) for at, is_known in zip(places, known.tolist(), strict=True) if is_known)
+
+    def told(e: Estimate) -> Estimate:
+        low = max(e.value - float(np.hypot(e.value - e.low, 2.0 * shared)), 0.0)
+        high = e.value + float(np.hypot(e.high - e.value, 2.0 * shared))
+        notes = "; ".join(filter(None, (e.note, note)))
+        return Estimate(e.value, low, high, e.station_count, captures, notes, e.effective_count)
+
+    of_median = quantile_interval(values[known], 0.5, chosen)
+    return told(of_median), told(max_interval(values[known], chosen, "places"))
 
 
 def _over_time(obs: Observations, still: ErrorTable, resting: NDArray[np.bool_], clusters: Clusters) -> Found:
     run = obs.session[resting]
-    t_s = still.t_ns / float(1_000_000_000)
-    span_s = s_from_ns(int(still.t_ns.max() - still.t_ns.min()))
+    t_s = (still.t_ns - still.t_ns[0]) / NS_PER_S
+    span_s = float(np.ptp(t_s))
     if len(np.unique(run)) > 1:
         several = Estimate(np.nan, 0.0, np.inf, 0, 0, "several runs: drift is of one run")
         yield "drift_position", several
         yield "drift_attitude", several
     else:
         for key, errors in (("position", still.translation_error_m), ("attitude", still.rotation_error_rad)):
-            yield f"drift_{key}", drift(errors, t_s - t_s[0], still.place, still.station, span_s)
+            yield f"drift_{key}", drift(errors, t_s, still.place, still.station, span_s)
     found = precision(still.translation_error_m, clusters, run)
     yield "repeatability_sd", found.within
     yield "between_runs_sd", found.between
@@ -163,24 +175,24 @@ def _over_time(obs: Observations, still: ErrorTable, resting: NDArray[np.bool_],
     yield "reproducibility_limit", found.limits[1]
 
 
-def _fraction(flags: NDArray[np.bool_], place: NDArray[np.int64], rng: np.random.Generator) -> Estimate:
+def _fraction(flags: NDArray[np.bool_], place: NDArray[np.int64]) -> Estimate:
     if len(flags) == 0:
         return Estimate(np.nan, 0.0, 1.0, 0, 0, "no captures")
-    return fraction_interval(flags, Clusters.of(place, rng))
+    return fraction_interval(flags, Clusters.counted(place))
 
 
-def _false_fixes(table: ErrorTable, rng: np.random.Generator) -> Estimate:
+def _false_fixes(table: ErrorTable) -> Estimate:
     poses = table.select(table.is_solved)
     is_far = (poses.position_error_m > _FALSE_RANGE_SHARE * poses.range_m) | (
         poses.attitude_error_rad > _FALSE_ATTITUDE_RAD
     )
-    return _fraction((poses.nees > _FALSE_NEES) & is_far, poses.place, rng)
+    return _fraction((poses.nees > _FALSE_NEES) & is_far, poses.place)
 
 
 def _grouped(table: ErrorTable, obs: Observations, rng: np.random.Generator) -> Iterator[Quantity]:
     for grouping, words, mask in groups(table, obs.exposure_s):
         part = table.select(mask)
-        yield quantity("availability", _fraction(part.is_solved, part.place, rng), grouping, words)
+        yield quantity("availability", _fraction(part.is_solved, part.place), grouping, words)
         solved = part.select(part.is_solved)
         if solved.count == 0:
             continue
