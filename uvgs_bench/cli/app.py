@@ -32,7 +32,9 @@ COMMANDS: dict[str, str] = {
     "gantry-sweep": "uvgs_bench.cli.gantry_sweep:gantry_sweep",
     "register": "uvgs_bench.cli.register:register",
     "report": "uvgs_bench.cli.report:report",
+    "compare": "uvgs_bench.cli.compare:compare",
     "benchmark": "uvgs_bench.cli.benchmark:app",
+    "study": "uvgs_bench.cli.study:study",
     "doctor": "uvgs_bench.cli.doctor:doctor",
 }
 
