@@ -19,8 +19,8 @@ AREA, SUM_X, SUM_Y, X0, Y0, X1, Y1, PERIMETER, COMPONENT_COLUMNS = 0, 1, 2, 3, 4
 _CLOSER_PX = (15, 8)
 # There a light must be so much higher than elsewhere, because specks stand alone in narrow windows.
 _CLOSER_FLOOR = 2.0
-# A light is wide when 4 px from its top this share of its height is left, and alone when nothing on the rim of its window
-# is higher than the other share.
+# A light is wide when 4 px from its top the first share of its height is left, and alone when nothing on the rim of its
+# window is higher than the second.
 _SHOULDER, _RIM = 0.7, 0.6
 # Two peaks are two lights when the picture between them falls by this share of the lower one's height.
 _SADDLE = 0.1
@@ -104,10 +104,10 @@ def _is_wide_light(image: ImageArray, y: int, x: int, half: int, background: flo
     for u in range(x0, x1, 2):
         if float(image[y0, u]) > level or float(image[y1 - 1, u]) > level:
             return False
+    is_alone = True
     for v in range(y0, y1, 2):
-        if float(image[v, x0]) > level or float(image[v, x1 - 1]) > level:
-            return False
-    return True
+        is_alone &= float(image[v, x0]) <= level and float(image[v, x1 - 1]) <= level
+    return is_alone
 
 
 @compiled
