@@ -189,6 +189,39 @@ def test_alternating_pictures_of_board_and_lights():
         assert abs(d.distance_m - true_m) < 4.0 * d.sigma_m + 1e-4
 
 
+@pytest.mark.parametrize("with_wrong_scale", [False, True])
+def test_board_and_lights_in_one_exposure(with_wrong_scale):
+    from uvgs_bench.beacon.measure import Caliper
+    from uvgs_bench.camera.lens import Lens
+
+    lens = Lens("plumb_bob", 1280, 960, np.array([1100.0, 1100.0, 640.0, 480.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    printed = Board("b", "chessboard", 8, 5, 0.02)
+    rng = np.random.default_rng(12)
+    # Beside the lights, and dim next to them: black squares of the print leave 10 DN, white ones 60.
+    corner_from_beacon = np.array([0.085, -0.04, 0.005])
+    captures = []
+    for i in range(7):
+        pose = bv.tilted_pose(rng, 0.65, 35.0)
+        px = lens.project(pose.apply(TRUE.positions_m))
+        board_pose = Pose(pose.R, pose.R @ corner_from_beacon + pose.t_m, "camera", "board")
+        image = np.maximum(spots.draw(px, rng), (0.3 * board_picture(printed, board_pose, rng)).astype(np.uint8))
+        captures.append(Capture(image, i, f"p{i}.png", i))
+    # Two percent: squares of 20 mm declared as 20.4 mm. A caliper tells.
+    declared = replace(printed, square_m=printed.square_m * (1.02 if with_wrong_scale else 1.0))
+    by_hand = Caliper("led0", "led1", float(np.linalg.norm(TRUE.positions_m[0] - TRUE.positions_m[1])))
+    config = MeasureConfig("board", calipers=(by_hand,))
+    result = measure_from_pictures(captures, NOMINAL, Calibration(lens, "plain"), config, board=declared).measurement
+    assert result.view_count >= 6
+    is_named = any("the size of the squares" in line and "+2" in line for line in result.warnings)
+    assert is_named is with_wrong_scale
+    for d in result.distances:
+        i, j = (NOMINAL.led_names.index(name) for name in (d.first, d.second))
+        true_m = float(np.linalg.norm(TRUE.positions_m[i] - TRUE.positions_m[j]))
+        # As above: drawn corners are off by the drawing, too.
+        is_right = abs(d.distance_m - true_m) < 4.0 * d.sigma_m + 1e-4
+        assert is_right is not with_wrong_scale
+
+
 def test_a_sweep_finds_the_led_that_is_not_where_its_file_says(tmp_path, capfd):
     text = (ROOT / "calib" / "bench.toml").read_text()
     line = "# led_offset_mm = { apex = [0.1, 0.0, 0.0] }   # an LED that is not where the beacon file says"
@@ -217,3 +250,15 @@ def test_a_sweep_finds_the_led_that_is_not_where_its_file_says(tmp_path, capfd):
         assert abs(row["distance_mm"] - true_mm) < 4.0 * row["sigma_mm"], row
         assert row["sigma_mm"] < 0.1
     assert max(record["leds"], key=lambda led: led["off_nominal_mm"])["name"] == "apex"
+    # The same pictures without belief in the gantry: one attitude all the time, so the lines of sight have to differ.
+    free = tmp_path / "free.toml"
+    assert uvgs("measure", run, "--out", free, "--by", "free", "--json", "--quiet") in (0, 3)
+    said = capfd.readouterr()
+    if free.exists():
+        record = json.loads(said.out)
+        assert record["by"] == "free"
+        assert "nominal distances" in record["scale_source"]
+    else:
+        assert "error:" in said.err
+    assert uvgs("measure", run, "--out", tmp_path / "b.toml", "--by", "board", "--quiet") == 2
+    assert "board needs pictures" in capfd.readouterr().err

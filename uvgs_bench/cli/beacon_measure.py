@@ -77,9 +77,10 @@ def measure(
     if run is None and (camera is None or nominal is None):
         raise ConfigError("is no run folder, so --camera and --nominal are needed", source)
     chosen = by or ("gantry" if run is not None else "board" if board is not None else "free")
-    if chosen not in ("gantry", "board", "free") or (chosen == "gantry") != (run is not None):
+    sources = ("gantry", "free") if run is not None else ("board", "free")
+    if chosen not in sources:
         raise ConfigError(
-            f"'{chosen}' does not fit this source: gantry needs a run folder, the others pictures", "--by"
+            f"'{chosen}' does not fit this source: gantry needs a run folder, board needs pictures", "--by"
         )
     if (chosen == "board") != (board is not None):
         raise ConfigError("is needed with --by board and only there", "--board")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import islice
@@ -15,12 +15,12 @@ from uvgs_bench.beacon import Beacon
 from uvgs_bench.beacon.checks import size_m
 from uvgs_bench.beacon.frames import FrameChoice, place
 from uvgs_bench.beacon.measure import BeaconMeasurement, LedView, MeasureConfig, measure_beacon
-from uvgs_bench.camera.boards import Board, BoardView, find_board, symmetry
+from uvgs_bench.camera.boards import Board, BoardView, find_board, is_worth_a_search, symmetry
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.devices.cameras.registry import open_camera
 from uvgs_bench.devices.gantry.axes import gantry_from_carriage
 from uvgs_bench.errors import CaptureError, ConfigError, RunError, TooFewViews
-from uvgs_bench.geometry import FloatArray
+from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.sensor.blobs import NoBlobs, find_blobs
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
@@ -28,6 +28,7 @@ from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.sensor.selection import select_blobs
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
+from uvgs_bench.sessions.print_mask import without_print
 from uvgs_bench.sessions.stream import read_run_captures
 from uvgs_bench.store.run import Run, Sample
 
@@ -38,6 +39,8 @@ _FEWEST = 4
 # Where a run kept no picture its centroids are taken as equally good.
 _PLAIN_SIGMA_PX = 0.1
 _MOST_GLINTS = 4
+# Two attitudes of the carriage are the same to this, of a rotation matrix: far below what a stop repeats to.
+_SAME_TURN = 1e-9
 
 # Each picture with the number it goes by.
 Pictures = Callable[[], Iterable[tuple[int, Capture]]]
@@ -128,9 +131,15 @@ def measure_from_pictures(
     def board_in(i: int) -> BoardView | None:
         if i not in known:
             assert board is not None
-            found = find_board(captures[i].image, board, captures[i].source)
+            image = captures[i].image
+            found = find_board(image, board, captures[i].source) if is_worth_a_search(image, board) else None
             known[i] = found if isinstance(found, BoardView) else None
         return known[i]
+
+    def lights() -> Iterator[tuple[int, Capture]]:
+        for i, capture in enumerate(captures):
+            view = None if board is None else board_in(i)
+            yield i, capture if view is None else without_print(capture, view)
 
     def views_of(named: dict[int, Named]) -> list[LedView]:
         out = []
@@ -139,10 +148,10 @@ def measure_from_pictures(
             if board is None:
                 out.append(_view(label, seen))
                 continue
-            # A search for a board that is not there is slow, so the picture more likely to show it goes first.
+            # The board of the next picture belongs to this pose only where this picture shows none itself.
             partner = i ^ 1
             is_pair = partner < len(captures) and partner not in named
-            corners = (board_in(partner) if is_pair else None) or board_in(i)
+            corners = board_in(i) or (board_in(partner) if is_pair else None)
             if corners is not None:
                 out.append(_view(label, seen, board=corners))
         if board is not None:
@@ -150,7 +159,7 @@ def measure_from_pictures(
         return out
 
     return _in_rounds(
-        lambda: enumerate(captures),
+        lights,
         len(captures),
         views_of,
         nominal,
@@ -174,13 +183,16 @@ def measure_from_run(
     name: str = "",
     sink: EventSink = ignore_events,
 ) -> MeasuredBeacon:
-    """Measure a beacon from the stations of a run: the gantry knows how far it went.
+    """Measure a beacon from the stations of a run.
+
+    With ``by = "gantry"`` the gantry knows how far it went; where rotary axes moved, too, only stations at the attitude
+    of the carriage that most have are used. With ``free`` every station is a view and the gantry is not believed.
 
     Args:
         run: The run; where it kept pictures they are named anew, else the names it recorded are believed.
         nominal: The beacon as meant.
         calibration: The camera.
-        config: Frame and the doubt of the gantry; ``by`` is ``gantry``.
+        config: Source, ``gantry`` or ``free``, frame, and what is known.
         nominal_error_m: How far LEDs may be from where the nominal beacon has them, m.
         sensor: Settings of the sensor.
         name: Name of the measured beacon.
@@ -190,15 +202,18 @@ def measure_from_run(
         The measurement.
 
     Raises:
-        RunError: A rotary axis moved, or the recorded names belong to another beacon.
+        RunError: The recorded names belong to another beacon.
         TooFewViews: Too few stations, or they cannot tell.
         CalibrationError: The stations contradict the gantry.
     """
-    config = replace(config, by="gantry", is_carried=run.manifest.mount == "beacon_on_carriage")
+    config = replace(config, is_carried=run.manifest.mount == "beacon_on_carriage")
     places = {sample.index: gantry_from_carriage(run.manifest.axes, sample.position) for sample in run.samples}
-    turns = [float(np.abs(place.R - places[run.samples[0].index].R).max()) for place in places.values()]
-    if max(turns, default=0.0) > 1e-9:
-        raise RunError("a rotary axis moved; only the linear travel of a gantry measures a beacon", str(run.path))
+    if config.by == "gantry":
+        run, left_out = _at_one_attitude(run, places)
+        if left_out:
+            said = f"{left_out} captures at other attitudes of the carriage are left out: --by free uses them"
+            sink(Remark("warning", f"a rotary axis moved; {said}"))
+    is_by_gantry = config.by == "gantry"
     station_of = {sample.index: sample.station for sample in run.samples}
 
     def views_of(named: dict[int, Named]) -> list[LedView]:
@@ -207,7 +222,11 @@ def measure_from_run(
             stations.setdefault(station_of[index], []).append(index)
         # Shots of one station share what is wrong with its picture, so their mean counts once.
         return [
-            _view(f"station {s}", _mean([named[i] for i in shots]), carriage_m=places[shots[0]].t_m)
+            _view(
+                f"station {s}",
+                _mean([named[i] for i in shots]),
+                carriage_m=places[shots[0]].t_m if is_by_gantry else None,
+            )
             for s, shots in stations.items()
         ]
 
@@ -224,6 +243,19 @@ def measure_from_run(
     misses = Counter(sample.reason for sample in run.samples if sample.reason)
     found = measure_beacon(views_of(recorded), nominal, calibration, config, name)
     return MeasuredBeacon(found, len(run.samples), len(recorded), len(recorded), 0, dict(misses))
+
+
+def _at_one_attitude(run: Run, places: dict[int, Pose]) -> tuple[Run, int]:
+    """The run with the samples at the commonest attitude of its carriage, and how many others it had."""
+    groups: list[list[Sample]] = []
+    for sample in run.samples:
+        R = places[sample.index].R
+        group = next((g for g in groups if float(np.abs(places[g[0].index].R - R).max()) < _SAME_TURN), None)
+        if group is None:
+            groups.append(group := [])
+        group.append(sample)
+    kept = max(groups, key=len, default=[])
+    return replace(run, samples=tuple(kept)), len(run.samples) - len(kept)
 
 
 def _recorded(sample: Sample) -> Named | None:
