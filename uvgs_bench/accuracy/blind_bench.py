@@ -155,8 +155,8 @@ def random_bench(rng: np.random.Generator, *, is_oblique: bool = True) -> BlindB
 
     Args:
         rng: Source of randomness.
-        is_oblique: Whether the camera looks obliquely to all axes; else along one of them. Along an axis an error of
-            the focal length is the same as an error of that axis' scale.
+        is_oblique: Whether the camera looks obliquely to all axes; else nearly along y. Along an axis an error of the
+            focal length looks like one of that axis' scale, and a lean towards it hides in the depth errors.
 
     Returns:
         The bench; gantry zero lies in the middle of the volume.

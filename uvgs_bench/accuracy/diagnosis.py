@@ -7,7 +7,7 @@ number of parameters comes first (Bayesian information criterion); the next must
 that explain as much as the first, and nothing beside it, are named with it: these data cannot tell them apart.
 
 Source: S. Holm, A simple sequentially rejective multiple test procedure (1979); G. Schwarz, Estimating the dimension of
-a model (1978).
+a model (1978); R. Kass and A. Raftery, Bayes factors (1995).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ LEAST_VISITS = 12
 """With fewer visits nothing is diagnosed: too little is left once the registration is fitted."""
 _ALPHA = 0.05
 _MOST_SUSPECTS = 4
-# Difference of the information criterion beyond which one cause is clearly better: odds of 20 to 1.
-_CLEARLY = 6.0
+# Difference of the information criterion beyond which one cause is clearly better: odds of 150 to 1.
+_CLEARLY = 10.0
 _RANK = 1e-6
 _LEAST_EIGENVALUE = 1e-12
 
@@ -131,7 +131,8 @@ class _Search:
             standing = [k for k in open_ones if chances[k] <= _ALPHA]
             if not standing:
                 break
-            worth = {k: gains[k] - self._price(k) for k in standing}
+            # What has more places to be found at finds one by chance more easily.
+            worth = {k: gains[k] - self._weight(k) - 2.0 * float(np.log(self.possible[k].rivals)) for k in standing}
             best = max(standing, key=lambda k: worth[k])
             with_best = _basis(np.concatenate([basis, self.columns[best]], axis=1))
             cause = self.possible[best].cause
@@ -140,7 +141,7 @@ class _Search:
                 k
                 for k in sorted(standing, key=lambda k: -worth[k])
                 if self.possible[k].cause != cause
-                and worth[k] > worth[best] - _CLEARLY
+                and gains[k] - self._weight(k) > gains[best] - self._weight(best) - _CLEARLY
                 and len(open_ones) * self._chance(self._gain(with_best, rest, k), k) > _ALPHA
             ]
             chosen.append(best)
@@ -165,9 +166,10 @@ class _Search:
         p = self.columns[k].shape[1]
         return float(f.sf(gain / p, p, self.freedom))
 
-    def _price(self, k: int) -> float:
+    def _weight(self, k: int) -> float:
+        """What the parameters of a cause must explain to be worth having."""
         count: int = self.columns[k].shape[1]
-        return count * float(np.log(self.count)) + 2.0 * float(np.log(self.possible[k].rivals))
+        return count * float(np.log(self.count))
 
     def _described(self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]]) -> tuple[Suspect, ...]:
         from scipy.stats import t as student
