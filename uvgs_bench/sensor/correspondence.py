@@ -8,7 +8,7 @@ holds only while the longest projected edge is the longest edge.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from math import inf
 
@@ -19,15 +19,15 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import rotation_angle
 from uvgs_bench.sensor.config import UvgsConfig
-from uvgs_bench.sensor.labelings import Search, chance_fits, search
+from uvgs_bench.sensor.labelings import Search, chance_fits, odds_of_a_stray, search
 from uvgs_bench.sensor.led_table import LedTable
 from uvgs_bench.sensor.outcome import PoseEstimate
 
 __all__ = ["LedMatch", "LedTable", "NoMatch", "match_leds"]
 
 _DEGENERATE_SINE = 0.05
-WEAK_CHANCE = 0.007
-"""A pose with more expected chance fits than this is published with a flag."""
+WEAK_ODDS = 0.08
+"""A pose is published with a flag when the odds that a light of it is no LED exceed this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +41,8 @@ class LedMatch:
             than expected the best fits; for four LEDs the ratio of their costs plus two. inf without runner-up.
         runner_up: The best truly different pose, or None.
         chance_fits: How many fits as likely as this one random lights would give; 0 where it was not asked.
+        stray_odds: Likelihood of another pose, with one of the four lights no LED, over that of this one; for more than
+            four LEDs ``chance_fits``.
         needs_prior: Whether only three LEDs are named, so that a prior must be fused.
     """
 
@@ -49,6 +51,7 @@ class LedMatch:
     margin: float
     runner_up: Pose | None
     chance_fits: float = 0.0
+    stray_odds: float = 0.0
     needs_prior: bool = False
 
     @property
@@ -61,7 +64,7 @@ class LedMatch:
     @property
     def is_weak(self) -> bool:
         """Whether chance alone could have made this fit in a picture with an LED hidden and a glint in its stead."""
-        return self.chance_fits > WEAK_CHANCE
+        return self.stray_odds > WEAK_ODDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +109,13 @@ def match_leds(
         return _sort_as_paper(centroid_px, sigma_px, lens, leds, config)
     found = search(centroid_px, sigma_px, lens, leds, config, prior, looks)
     if not len(found):
-        return NoMatch("no_labeling", f"no labeling of {len(centroid_px)} blobs fits the beacon")
+        if found.is_proven:
+            return NoMatch("no_labeling", f"no labeling of {len(centroid_px)} blobs fits the beacon")
+        return NoMatch(
+            "not_proven",
+            f"no six neighbours of {len(leds.positions_m)} LEDs fit, and not all labelings of {len(centroid_px)} blobs "
+            "can be tried",
+        )
     best = found.candidate(0)
     if not found.is_proven:
         return NoMatch(
@@ -121,18 +130,22 @@ def match_leds(
             f"{found.tried} poses of {len(centroid_px)} blobs were tried: {chance:.2f} fits as likely as this "
             f"(chi-square {best.chi2:.1f}) are expected by chance, at most {config.max_chance_fits:.2f}",
         )
-    return _decide(found, chance, config)
+    match = _decide(found, chance, config)
+    if isinstance(match, LedMatch) and len(leds.positions_m) == 4:
+        odds = odds_of_a_stray(best, found, centroid_px, sigma_px, lens, leds, config, looks)
+        return replace(match, stray_odds=odds)
+    return match
 
 
 def _decide(found: Search, chance: float, config: UvgsConfig) -> LedMatch | NoMatch:
     best = found.candidate(0)
     rival = found.rival()
     if rival is None:
-        return LedMatch(best.blob_of_led, best.pose, inf, None, chance)
+        return LedMatch(best.blob_of_led, best.pose, inf, None, chance, chance)
     dof = 2 * best.seen - 6
     margin = 1.0 + 0.5 * (rival.cost - best.cost) * dof / (best.chi2 + dof)
     if margin >= config.min_margin:
-        return LedMatch(best.blob_of_led, best.pose, margin, rival.pose, chance)
+        return LedMatch(best.blob_of_led, best.pose, margin, rival.pose, chance, chance)
     angle = np.degrees(rotation_angle(best.pose.R.T @ rival.pose.R))
     return NoMatch(
         "ambiguous",

@@ -13,8 +13,8 @@ from uvgs_bench.geometry.compiled import compiled
 # An LED leaves its cone softly: each of these steps beyond the limit counts as one deviation.
 _LIMIT_SIGMA_RAD = 0.05
 # Appearance never costs more than this: dust or half a hidden LED must not outvote four good centroids.
-_MOST_APPEARANCE_COST = 16.0
-_LEAST_COSINE = 0.05
+MOST_APPEARANCE_COST = 16.0
+LEAST_COSINE = 0.05
 
 
 @compiled
@@ -95,13 +95,13 @@ def appearance_cost(
                 cosine, distance = emission_cosine(R, t, leds[led], axes[led])
                 value += 2.0 * log(distance)
                 if axes[led, 0] != 0.0 or axes[led, 1] != 0.0 or axes[led, 2] != 0.0:
-                    value -= exponent * log(max(cosine, _LEAST_COSINE))
+                    value -= exponent * log(max(cosine, LEAST_COSINE))
             count += 1
             step = value - mean
             mean += step / count
             square += step * (value - mean)
         total += square / (look_sigma[column] * look_sigma[column])
-    return min(total, _MOST_APPEARANCE_COST)
+    return min(total, MOST_APPEARANCE_COST)
 
 
 @compiled

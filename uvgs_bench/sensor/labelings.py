@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 from math import comb, cos, exp, log, pi, sqrt
 
 import numpy as np
@@ -18,6 +18,7 @@ from uvgs_bench.sensor.led_table import LedTable, LedTriples
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.sensor.search_four import KEPT, search_four
 from uvgs_bench.sensor.search_many import search_many
+from uvgs_bench.sensor.stray_kernels import STRAY_FACTOR, stray_odds
 
 # Two poses nearer than this are one answer: no user acts differently on them.
 _SAME_TURN_RAD = 0.05
@@ -31,16 +32,18 @@ PRIOR_REACH2 = 16.0
 _PRIOR_CHANCE = 0.02
 # The area within one deviation of an LED predicted from three others, over that of a centroid: typical of triangles.
 _PREDICTED_AREA = 4.0
-# Lights nobody placed differ in brightness by this factor.
-_STRAY_FACTOR = 30.0
-# Triples of LEDs on triples of blobs: up to so many all are tried, a tenth of a second. Poses after which to give up.
-_MOST_IN_FULL = 400_000
+# All ways to call three lights by the names of four LEDs.
+_ORDERS = np.array(list(permutations(range(4), 3)), dtype=np.int64)
+# The budget of a beacon of many LEDs, a tenth of a second: up to so many triples of LEDs on triples of blobs all are
+# tried; else no seed is begun after so many poses, and what is not proven then is refused.
+_MOST_IN_FULL = 120_000
 _MOST_TRIED = 150_000
 # Blobs beside a blob that start a search with it, and neighbours that must find a light.
 _NEIGHBOURS = 4
 _CONFIRMING = 3
-# Chance of having missed a pose that explains as much, at most, for the best to be believed.
-_MOST_MISSED = 0.02
+# The best must have been met from two seeds at least: what one alone came to, another may have missed. Its look-alikes
+# are all tried, so this guards against rivals nobody can name.
+_MOST_MISSED = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,8 +89,7 @@ class Search:
             more that of one prediction.
         field_px2: Area in which the lights lie.
         blobs: Number of lights.
-        is_proven: Whether no other labeling can explain as much: all, or nearly
-            all that could, were tried.
+        is_proven: Whether all labelings were tried, or the best was met again and again and its look-alikes tried.
     """
 
     cost: FloatArray
@@ -147,11 +149,11 @@ def chance_fits(best: Candidate, found: Search, leds: LedTable, looks: FloatArra
     # A true fit has two degrees of freedom, so its density is exp(-chi2 / 2) / 2.
     odds = 2.0 * pi * found.area_px2 / found.field_px2 * fit
     if looks is not None:
-        odds *= _stray_odds(best, leds, looks)
+        odds *= _looks_odds(best, leds, looks)
     return odds * (_PRIOR_CHANCE if best.near_prior else 1.0)
 
 
-def _stray_odds(best: Candidate, leds: LedTable, looks: FloatArray) -> float:
+def _looks_odds(best: Candidate, leds: LedTable, looks: FloatArray) -> float:
     """How much likelier the looks are when one of four lights is a stray than when all are LEDs: any may be the one."""
     odds = 1.0
     R, t = best.pose.R.copy(), best.pose.t_m.copy()
@@ -162,8 +164,45 @@ def _stray_odds(best: Candidate, leds: LedTable, looks: FloatArray) -> float:
         odds *= gain
         if column == 0 and gain != 1.0:
             # One light against the mean of three others. Strays may well be as wide as LEDs, so width has no such gain.
-            odds *= sqrt(2.0 * pi * 4.0 / 3.0) * float(leds.look_sigma[0]) / log(_STRAY_FACTOR)
+            odds *= sqrt(2.0 * pi * 4.0 / 3.0) * float(leds.look_sigma[0]) / log(STRAY_FACTOR)
     return odds
+
+
+def odds_of_a_stray(
+    best: Candidate,
+    found: Search,
+    px: FloatArray,
+    sigma: FloatArray,
+    lens: Lens,
+    leds: LedTable,
+    config: UvgsConfig,
+    looks: FloatArray | None,
+) -> float:
+    """Likelihood that one of four named lights is a stray over that of all being LEDs, see ``stray_odds``.
+
+    Args:
+        best: The fit of four LEDs.
+        found: The search it came from.
+        px: As for ``match_leds``.
+        sigma: As for ``match_leds``.
+        lens: As for ``match_leds``.
+        leds: The tabulated beacon.
+        config: Ranges.
+        looks: As for ``match_leds``.
+
+    Returns:
+        The ratio; where a prior speaks for the fit, few of the other poses are as near.
+    """
+    blobs = best.blob_of_led
+    at = np.ascontiguousarray(px[blobs])
+    known = np.full((4, 2), np.nan) if looks is None else np.ascontiguousarray(looks[blobs])
+    odds = stray_odds(
+        lens.model_id, lens.kernel_parameters, np.ascontiguousarray(lens.unproject(at)), at,
+        np.ascontiguousarray(sigma[blobs]), known, leds.look_sigma, leds.exponent, leds.positions_m, leds.axes,
+        leds.cos_loose, _ORDERS, best.pose.R.copy(), best.pose.t_m.copy(), best.chi2 + best.cone_cost,
+        config.min_range_m, config.max_range_m, found.field_px2,
+    )  # fmt: skip
+    return odds * (_PRIOR_CHANCE if best.near_prior else 1.0)
 
 
 def search(
@@ -204,7 +243,7 @@ def search(
             lens.model_id, lens.kernel_parameters, np.ascontiguousarray(rays[seen]), at, deviations, known,
             leds.look_sigma, leds.exponent, leds.positions_m, leds.axes, leds.cos_limit, leds.cos_loose, triples.leds,
             reach, config.min_range_m, config.max_range_m, costs, chi2s, cones, Rs, ts, assignments, triples.edges_m2,
-            triples.near, seeds, needed, _MOST_TRIED,
+            triples.near, seeds, needed, _MOST_TRIED, leds.turns, leds.shifts_m,
         )  # fmt: skip
         is_proven = missed < _MOST_MISSED
         area = _PREDICTED_AREA * float(np.mean(deviations**2))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor.config import UvgsConfig
+from uvgs_bench.sensor.look_alikes import find_look_alikes
 from uvgs_bench.units import rad_from_deg
 
 # Poses with LEDs this far outside their cones are still scored, so that a true one just outside is seen as a rival.
@@ -48,6 +49,8 @@ class LedTable:
         triples: All triples worth starting from; for four LEDs the orders of the widest.
         local: Those of neighbours, for beacons of many LEDs; ``triples`` when these are few.
         longest_m: Longest edge, m.
+        turns: What lays the beacon nearly on itself, shape (q, 3, 3); none for four LEDs.
+        shifts_m: The same, shape (q, 3), m.
         look_sigma: Deviations of the logarithms of brightness and width between good LEDs, shape (2,).
         exponent: An LED shines as the cosine to its axis to this power.
     """
@@ -59,6 +62,8 @@ class LedTable:
     triples: LedTriples
     local: LedTriples
     longest_m: float
+    turns: FloatArray
+    shifts_m: FloatArray
     look_sigma: FloatArray
     exponent: float
 
@@ -80,7 +85,10 @@ class LedTable:
         looks = np.array([config.led_brightness_sigma, config.led_width_sigma])
         longest = float(np.linalg.norm(positions[:, None] - positions[None], axis=2).max())
         triples, local = _led_triples(positions, axes, loose, longest)
-        return cls(positions, axes, limit, loose, triples, local, longest, looks, config.emission_exponent)
+        turns, shifts = (np.empty((0, 3, 3)), np.empty((0, 3))) if n == 4 else find_look_alikes(positions)
+        return cls(
+            positions, axes, limit, loose, triples, local, longest, turns, shifts, looks, config.emission_exponent
+        )
 
 
 def _led_triples(

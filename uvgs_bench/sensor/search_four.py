@@ -35,17 +35,19 @@ Vector = tuple[float, float, float]
 
 
 @compiled
-def _cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Vector, b: Vector) -> Vector:
+    """Cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
-def _dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector, b: Vector) -> float:
+    """Dot product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def _ray_slopes(model_id: int, lens: FloatArray, rays: FloatArray, out: FloatArray) -> None:
+def ray_slopes(model_id: int, lens: FloatArray, rays: FloatArray, out: FloatArray) -> None:
     """How each unit ray turns with its pixel, shape (m, 2, 3): the pseudo-inverse of the projection at the ray."""
     for i in range(rays.shape[0]):
         _, _, _, ux, uy, uz, vx, vy, vz = project_point_with_jacobian(
@@ -60,16 +62,16 @@ def _ray_slopes(model_id: int, lens: FloatArray, rays: FloatArray, out: FloatArr
 
 
 @compiled
-def _carried(leds: FloatArray, axes: FloatArray, triple: NDArray[np.int64], out: FloatArray) -> None:
+def carried_by(leds: FloatArray, axes: FloatArray, triple: NDArray[np.int64], out: FloatArray) -> None:
     """What a triangle carries, in its two edges from the first corner and their cross product, shape (6, 3)."""
     a, b, c = triple[0], triple[1], triple[2]
     left = 6 - a - b - c
     p = (leds[b, 0] - leds[a, 0], leds[b, 1] - leds[a, 1], leds[b, 2] - leds[a, 2])
     q = (leds[c, 0] - leds[a, 0], leds[c, 1] - leds[a, 1], leds[c, 2] - leds[a, 2])
-    n = _cross(p, q)
-    square = _dot(n, n)
-    first = _cross(q, n)
-    second = _cross(n, p)
+    n = cross(p, q)
+    square = dot(n, n)
+    first = cross(q, n)
+    second = cross(n, p)
     for row in range(6):
         if row == _FOURTH:
             w = (leds[left, 0] - leds[a, 0], leds[left, 1] - leds[a, 1], leds[left, 2] - leds[a, 2])
@@ -78,13 +80,14 @@ def _carried(leds: FloatArray, axes: FloatArray, triple: NDArray[np.int64], out:
         else:
             led = left if row == _AXES + 3 else triple[row - _AXES]
             w = (axes[led, 0], axes[led, 1], axes[led, 2])
-        out[row, 0] = _dot(w, first) / square
-        out[row, 1] = _dot(w, second) / square
-        out[row, 2] = _dot(w, n) / square
+        out[row, 0] = dot(w, first) / square
+        out[row, 1] = dot(w, second) / square
+        out[row, 2] = dot(w, n) / square
 
 
 @compiled
-def _combine(k: FloatArray, e1: Vector, e2: Vector, n: Vector) -> Vector:
+def combine(k: FloatArray, e1: Vector, e2: Vector, n: Vector) -> Vector:
+    """What a triangle carries, from its two edges in the camera frame and their cross product."""
     return (
         k[0] * e1[0] + k[1] * e2[0] + k[2] * n[0],
         k[0] * e1[1] + k[1] * e2[1] + k[2] * n[1],
@@ -93,9 +96,9 @@ def _combine(k: FloatArray, e1: Vector, e2: Vector, n: Vector) -> Vector:
 
 
 @compiled
-def _shines(p: Vector, axis: Vector, cos_limit: float) -> bool:
+def shines(p: Vector, axis: Vector, cos_limit: float) -> bool:
     """Whether the camera lies within a cone about an LED's axis."""
-    return cos_limit <= -1.0 or -_dot(p, axis) >= cos_limit * sqrt(_dot(p, p))
+    return cos_limit <= -1.0 or -dot(p, axis) >= cos_limit * sqrt(dot(p, p))
 
 
 @compiled
@@ -111,25 +114,25 @@ def _by_rays(
     e02 = (p0[0] - p2[0], p0[1] - p2[1], p0[2] - p2[2])
     e12 = (p1[0] - p2[0], p1[1] - p2[1], p1[2] - p2[2])
     # The cross product of the edges moves by their turn.
-    x = _cross(w, e02)
-    y = _cross(e01, w)
+    x = cross(w, e02)
+    y = cross(e01, w)
     g1 = (k[0] * w[0] + k[2] * x[0], k[0] * w[1] + k[2] * x[1], k[0] * w[2] + k[2] * x[2])
     g2 = (k[1] * w[0] + k[2] * y[0], k[1] * w[1] + k[2] * y[1], k[1] * w[2] + k[2] * y[2])
     g0 = (w[0] - g1[0] - g2[0], w[1] - g1[1] - g2[1], w[2] - g1[2] - g2[2])
-    a01, b01 = _dot(e01, r0), _dot(e01, r1)
-    a02, b02 = _dot(e02, r0), _dot(e02, r2)
-    a12, b12 = _dot(e12, r1), _dot(e12, r2)
+    a01, b01 = dot(e01, r0), dot(e01, r1)
+    a02, b02 = dot(e02, r0), dot(e02, r2)
+    a12, b12 = dot(e12, r1), dot(e12, r2)
     det = a01 * a12 * b02 - a02 * b01 * b12
-    scale = sqrt(_dot(e01, e01) * _dot(e02, e02) * _dot(e12, e12))
+    scale = sqrt(dot(e01, e01) * dot(e02, e02) * dot(e12, e12))
     if not abs(det) > _SINGULAR * scale:
         return none, none, none, False
-    h0, h1, h2 = _dot(g0, r0), _dot(g1, r1), _dot(g2, r2)
+    h0, h1, h2 = dot(g0, r0), dot(g1, r1), dot(g2, r2)
     per = 1.0 / det
     mixed = h1 * b12 + h2 * a12
     x01 = (h0 * a12 * b02 + a02 * mixed) * per
     x02 = -(a01 * mixed + h0 * b01 * b12) * per
     x12 = (a01 * h1 * b02 + a02 * h2 * b01 + h0 * b01 * b02) * per
-    d0, d1, d2 = sqrt(_dot(p0, p0)), sqrt(_dot(p1, p1)), sqrt(_dot(p2, p2))
+    d0, d1, d2 = sqrt(dot(p0, p0)), sqrt(dot(p1, p1)), sqrt(dot(p2, p2))
     s0 = (
         d0 * (g0[0] - x01 * e01[0] - x02 * e02[0]),
         d0 * (g0[1] - x01 * e01[1] - x02 * e02[1]),
@@ -220,11 +223,11 @@ def search_four(
     tried = 0
     area = 0.0
     slopes = np.empty((m, 2, 3))
-    _ray_slopes(model_id, lens, rays, slopes)
+    ray_slopes(model_id, lens, rays, slopes)
     carried = np.empty((orders, 6, 3))
     edges = np.empty((orders, 3))
     for k in range(orders):
-        _carried(leds, axes, led_triples[k], carried[k])
+        carried_by(leds, axes, led_triples[k], carried[k])
         for c in range(3):
             a, b = led_triples[k, c // 2], led_triples[k, 1 + (c + 1) // 2]
             edges[k, c] = (
@@ -250,7 +253,7 @@ def search_four(
                 if (px[i1, 0] - px[i2, 0]) ** 2 + (px[i1, 1] - px[i2, 1]) ** 2 > reach2:
                     continue
                 r2 = (rays[i2, 0], rays[i2, 1], rays[i2, 2])
-                b0, b1, b2 = _dot(r0, r1), _dot(r0, r2), _dot(r1, r2)
+                b0, b1, b2 = dot(r0, r1), dot(r0, r2), dot(r1, r2)
                 for k in range(orders):
                     lo0, lo1, lo2 = led_triples[k, 0], led_triples[k, 1], led_triples[k, 2]
                     left = 6 - lo0 - lo1 - lo2
@@ -261,22 +264,22 @@ def search_four(
                         p2 = (d2 * r2[0], d2 * r2[1], d2 * r2[2])
                         e1 = (p1[0] - p0[0], p1[1] - p0[1], p1[2] - p0[2])
                         e2 = (p2[0] - p0[0], p2[1] - p0[1], p2[2] - p0[2])
-                        n = _cross(e1, e2)
-                        w = _combine(carried[k, _ORIGIN], e1, e2, n)
+                        n = cross(e1, e2)
+                        w = combine(carried[k, _ORIGIN], e1, e2, n)
                         w = (p0[0] + w[0], p0[1] + w[1], p0[2] + w[2])
-                        square = _dot(w, w)
+                        square = dot(w, w)
                         if square < min_range_m * min_range_m or square > max_range_m * max_range_m:
                             continue
-                        if not _shines(p0, _combine(carried[k, _AXES], e1, e2, n), cos_loose[lo0]):
+                        if not shines(p0, combine(carried[k, _AXES], e1, e2, n), cos_loose[lo0]):
                             continue
-                        if not _shines(p1, _combine(carried[k, _AXES + 1], e1, e2, n), cos_loose[lo1]):
+                        if not shines(p1, combine(carried[k, _AXES + 1], e1, e2, n), cos_loose[lo1]):
                             continue
-                        if not _shines(p2, _combine(carried[k, _AXES + 2], e1, e2, n), cos_loose[lo2]):
+                        if not shines(p2, combine(carried[k, _AXES + 2], e1, e2, n), cos_loose[lo2]):
                             continue
                         tried += 1
-                        w = _combine(carried[k, _FOURTH], e1, e2, n)
+                        w = combine(carried[k, _FOURTH], e1, e2, n)
                         p = (p0[0] + w[0], p0[1] + w[1], p0[2] + w[2])
-                        if not _shines(p, _combine(carried[k, _AXES + 3], e1, e2, n), cos_loose[left]):
+                        if not shines(p, combine(carried[k, _AXES + 3], e1, e2, n), cos_loose[left]):
                             continue
                         u, v, ok, ux, uy, uz, vx, vy, vz = project_point_with_jacobian(model_id, lens, p[0], p[1], p[2])
                         if not ok:

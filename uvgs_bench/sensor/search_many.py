@@ -2,52 +2,53 @@
 
 Every triple of LEDs that can be seen together is laid on every seed, a triple of blobs. A pose is followed up only when
 enough LEDs near the triple find a light; then all LEDs are paired, refined, and paired again until nothing changes.
+What the best pose could be mistaken for, because the beacon looks like itself, is then tried by name.
 """
 
 from __future__ import annotations
 
-from math import sqrt
+from math import exp, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uvgs_bench.camera.lens_kernels import project_point_with_jacobian
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.compiled import compiled
 from uvgs_bench.sensor.evidence_kernels import appearance_cost, cone_cost, is_lit
-from uvgs_bench.sensor.search_four import KEPT
+from uvgs_bench.sensor.pairing_kernels import (
+    GATE_PX,
+    MISSING_COST,
+    STRAY_COST,
+    assign_near,
+    copy_pose,
+    keep,
+    least,
+    refine_paired,
+    settle,
+    take_look_alike,
+)
 from uvgs_bench.sensor.seed_frame import lay_out, seed_frame
-from uvgs_bench.sensor.solvers.uvgs_lm import refine_pose
 from uvgs_bench.sensor.three_rays import pose_from_distances, solve_distances
 
-# A lit LED without a blob: one in twelve is hidden. A blob that is no LED: such a light at just this place is rare.
-MISSING_COST = 5.0
-STRAY_COST = 15.0
-# Gates about predictions: px and share of the seed's span for the LEDs near it, deviations once many are paired.
-_GATE_PX = 4.0
+# Gates about predictions: share of the seed's span when all LEDs are asked and when those near it are.
 _GATE_SHARE = 0.02
 _NEAR_SHARE = 0.06
-_GATE_SIGMAS = 6.0
-_ROUNDS = 5
-_REFINE_STEPS = 8
-# A pose that explains its LEDs worse than this per degree of freedom is not followed up.
-_HOPELESS_PER_DOF = 400.0
 # A pose of so many LEDs that fits can end the search, once none that explains as many can have been missed but by this
-# chance: a seed falls on neighbours among as many of the lights with at least this share of its square's probability.
+# chance.
 _CERTAIN = 6
 _CERTAIN_CHI2_PER_DOF = 6.0
 _MISSED = 1e-3
-_SEED_SHARE = 0.5
 # What ranks this much behind the best cannot become a rival.
 _WORTH_REFINING = 120.0
-_SAME_COSINE = 0.9998
-_SAME_SHIFT = 0.02
 # So many cells of the size of a gate to each side of a seed show quickly where there is no light at all.
 _HALF_CELLS = 64
+# Look-alikes are sought about so many of the best poses, with gates of this share of the picture of the beacon.
+_MISTAKEN = 2
+_MISTAKEN_SHARES = (0.03, 0.1)
 
 
 @compiled
-def _assign_near(
+def _add_look_alikes(
     model_id: int,
     lens: FloatArray,
     px: FloatArray,
@@ -55,102 +56,103 @@ def _assign_near(
     leds: FloatArray,
     axes: FloatArray,
     cos_loose: FloatArray,
-    R: FloatArray,
-    t: FloatArray,
-    gate_px: float,
-    assignment: NDArray[np.int64],
-    taken: NDArray[np.bool_],
-) -> int:
-    """Pair each lit LED with the nearest free blob within the larger of a gate and six of the blob's deviations."""
-    count = 0
-    taken[:] = False
-    for led in range(leds.shape[0]):
-        assignment[led] = -1
-        if not is_lit(R, t, leds[led], axes[led], cos_loose[led]):
-            continue
-        x = R[0, 0] * leds[led, 0] + R[0, 1] * leds[led, 1] + R[0, 2] * leds[led, 2] + t[0]
-        y = R[1, 0] * leds[led, 0] + R[1, 1] * leds[led, 1] + R[1, 2] * leds[led, 2] + t[1]
-        z = R[2, 0] * leds[led, 0] + R[2, 1] * leds[led, 1] + R[2, 2] * leds[led, 2] + t[2]
-        u, v, ok, _, _, _, _, _, _ = project_point_with_jacobian(model_id, lens, x, y, z)
-        if not ok:
-            continue
-        best = np.inf
-        chosen = -1
-        for blob in range(px.shape[0]):
-            gate = max(gate_px, _GATE_SIGMAS * sigma[blob])
-            d = (px[blob, 0] - u) ** 2 + (px[blob, 1] - v) ** 2
-            if d < best and d < gate * gate and not taken[blob]:
-                best = d
-                chosen = blob
-        if chosen >= 0:
-            assignment[led] = chosen
-            taken[chosen] = True
-            count += 1
-    return count
-
-
-@compiled
-def _gather(
-    assignment: NDArray[np.int64],
-    leds: FloatArray,
-    px: FloatArray,
-    sigma: FloatArray,
-    some_leds: FloatArray,
-    some_px: FloatArray,
-    some_sigma: FloatArray,
-) -> int:
-    """Copy what an assignment pairs into the first rows. Returns their number."""
-    count = 0
-    for led in range(leds.shape[0]):
-        if assignment[led] >= 0:
-            some_leds[count] = leds[led]
-            some_px[count] = px[assignment[led]]
-            some_sigma[count] = sigma[assignment[led]]
-            count += 1
-    return count
-
-
-@compiled
-def _keep(
+    turns: FloatArray,
+    shifts: FloatArray,
     found: int,
-    rank: float,
-    R: FloatArray,
-    t: FloatArray,
-    assignment: NDArray[np.int64],
     ranks: FloatArray,
     Rs: FloatArray,
     ts: FloatArray,
     assignments: NDArray[np.int64],
+    met: NDArray[np.int64],
 ) -> int:
-    """Store a pose among the ``KEPT`` of least rank, of those that are one pose only the best."""
-    slot = -1
-    far = _SAME_SHIFT * sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2)
-    for i in range(found):
-        if abs(ts[i, 0] - t[0]) + abs(ts[i, 1] - t[1]) + abs(ts[i, 2] - t[2]) > far:
-            continue
-        trace = 0.0
-        for a in range(3):
-            for b in range(3):
-                trace += Rs[i, a, b] * R[a, b]
-        if trace < 1.0 + 2.0 * _SAME_COSINE:
-            continue
-        if ranks[i] <= rank:
-            return found
-        slot = i
-        break
-    if slot < 0:
-        if found < KEPT:
-            slot = found
-            found += 1
-        else:
-            slot = int(np.argmax(ranks))
-            if rank >= ranks[slot]:
-                return found
-    ranks[slot] = rank
-    Rs[slot] = R
-    ts[slot] = t
-    assignments[slot] = assignment
+    """Settle what the best poses could be mistaken for, and keep it among them. Returns how many are kept then."""
+    n = leds.shape[0]
+    assignment = np.empty(n, dtype=np.int64)
+    taken = np.empty(px.shape[0])
+    R0, t0, R, t = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    middle = np.empty(3)
+    waiting = ranks[:found].copy()
+    for _ in range(min(_MISTAKEN, found)):
+        at = least(waiting, waiting.shape[0])
+        waiting[at] = np.inf
+        copy_pose(Rs[at], ts[at], R0, t0)
+        count = 0
+        extent = 0.0
+        first = -1
+        for i in range(3):
+            middle[i] = 0.0
+        for led in range(n):
+            blob = assignments[at, led]
+            if blob < 0:
+                continue
+            if first < 0:
+                first = blob
+            extent = max(extent, abs(px[blob, 0] - px[first, 0]) + abs(px[blob, 1] - px[first, 1]))
+            count += 1
+            for i in range(3):
+                middle[i] += (leds[led, i] - middle[i]) / count
+        for k in range(turns.shape[0]):
+            for share in _MISTAKEN_SHARES:
+                take_look_alike(R0, t0, middle, turns[k], shifts[k], R, t)
+                gate_px = max(GATE_PX, share * extent)
+                count = assign_near(model_id, lens, px, sigma, leds, axes, cos_loose, R, t, gate_px, assignment, taken)
+                if count < 4:
+                    continue
+                chi2, count = settle(model_id, lens, px, sigma, leds, axes, cos_loose, assignment, taken, R, t)
+                if chi2 < np.inf:
+                    rank = chi2 - (MISSING_COST + STRAY_COST) * count
+                    found = keep(found, rank, -1, R, t, assignment, ranks, Rs, ts, assignments, met)
     return found
+
+
+@compiled
+def _score(
+    model_id: int,
+    lens: FloatArray,
+    px: FloatArray,
+    sigma: FloatArray,
+    looks: FloatArray,
+    look_sigma: FloatArray,
+    exponent: float,
+    leds: FloatArray,
+    axes: FloatArray,
+    cos_limit: FloatArray,
+    min_range_m: float,
+    found: int,
+    costs: FloatArray,
+    chi2s: FloatArray,
+    cones: FloatArray,
+    Rs: FloatArray,
+    ts: FloatArray,
+    assignments: NDArray[np.int64],
+) -> int:
+    """Refine what is kept and weigh all evidence, in place. Returns how many are left."""
+    n = leds.shape[0]
+    lowest = costs[least(costs, found)] if found > 0 else 0.0
+    kept = 0
+    R, t = np.empty((3, 3)), np.empty(3)
+    for i in range(found):
+        if costs[i] > lowest + _WORTH_REFINING:
+            continue
+        copy_pose(Rs[i], ts[i], R, t)
+        chi2, count = refine_paired(model_id, lens, px, sigma, leds, assignments[i], R, t, 16, np.inf)
+        if chi2 == np.inf or not t[0] * t[0] + t[1] * t[1] + t[2] * t[2] >= min_range_m * min_range_m:
+            continue
+        cost = chi2 + appearance_cost(R, t, leds, axes, assignments[i], looks, look_sigma, exponent)
+        cost += STRAY_COST * (px.shape[0] - count)
+        cone = 0.0
+        for led in range(n):
+            assignments[kept, led] = assignments[i, led]
+            if assignments[i, led] >= 0:
+                cone += cone_cost(R, t, leds[led], axes[led], cos_limit[led])
+            elif is_lit(R, t, leds[led], axes[led], cos_limit[led]):
+                cost += MISSING_COST
+        costs[kept] = cost + cone
+        chi2s[kept] = chi2
+        cones[kept] = cone
+        copy_pose(R, t, Rs[kept], ts[kept])
+        kept += 1
+    return kept
 
 
 @compiled
@@ -182,6 +184,8 @@ def search_many(
     seeds: NDArray[np.int64],
     needed: int,
     most_tried: int,
+    turns: FloatArray,
+    shifts: FloatArray,
 ) -> tuple[int, int, float]:
     """Score labelings.
 
@@ -213,10 +217,13 @@ def search_many(
         seeds: Blob triples in the order to try, shape (j, 3).
         needed: How many of those asked must find a light; 1 looks everywhere with a tight gate.
         most_tried: Poses after which no further seed is begun.
+        turns: What lays the beacon nearly on itself, shape (q, 3, 3).
+        shifts: The same, shape (q, 3), m.
 
     Returns:
         Number of labelings that survived, in no order; the number of poses tried; the chance that a pose explaining as
-        many LEDs as the best has been missed, 1 when the best explains too few to tell, 0 when all were tried.
+        many LEDs as the best has been missed: as seldom as the best itself was met, so 1/e when one seed came to it; 1
+        when the best explains too few to tell, 0 when all were tried.
     """
     m = px.shape[0]
     n = leds.shape[0]
@@ -229,14 +236,12 @@ def search_many(
     three_rays = np.empty((3, 3))
     three_leds = np.empty((3, 3))
     assignment = np.empty(n, dtype=np.int64)
-    taken = np.empty(m, dtype=np.bool_)
-    some_leds = np.empty((n, 3))
-    some_px = np.empty((n, 2))
-    some_sigma = np.empty(n)
+    taken = np.empty(m)
     R = np.empty((3, 3))
     t = np.empty(3)
-    R_seed = np.empty((3, 3))
-    t_seed = np.empty(3)
+    R_out = np.empty((3, 3))
+    t_out = np.empty(3)
+    met = np.zeros((costs.shape[0], 2), dtype=np.int64)
     B = np.empty((3, 3))
     xy = np.empty((m, 2))
     half = _HALF_CELLS
@@ -256,7 +261,7 @@ def search_many(
         if span > reach_px:
             continue
         if needed == 1:
-            gate = max(_GATE_PX, _GATE_SHARE * span)
+            gate = max(GATE_PX, _GATE_SHARE * span)
         else:
             gate = 4.0 * widest_sigma + _NEAR_SHARE * span
         seen = seed_frame(rays, seeds[j], B, xy)
@@ -274,7 +279,8 @@ def search_many(
         for k in range(led_triples.shape[0]):
             l0, l1, l2 = led_triples[k, 0], led_triples[k, 1], led_triples[k, 2]
             for c in range(3):
-                three_leds[c] = leds[led_triples[k, c]]
+                for axis in range(3):
+                    three_leds[c, axis] = leds[led_triples[k, c], axis]
             for root in range(solve_distances(b0, b1, b2, edges_m2[k, 0], edges_m2[k, 1], edges_m2[k, 2], distances)):
                 if not pose_from_distances(
                     three_rays, three_leds, distances[root, 0], distances[root, 1], distances[root, 2], R, t
@@ -290,7 +296,8 @@ def search_many(
                 ):
                     continue
                 tried += 1
-                assignment[:] = -1
+                for led in range(n):
+                    assignment[led] = -1
                 assignment[l0], assignment[l1], assignment[l2] = i0, i1, i2
                 hits = 0
                 for a in range(asked):
@@ -329,75 +336,30 @@ def search_many(
                         hits += 1
                 if hits < needed:
                     continue
-                R_seed[:] = R
-                t_seed[:] = t
                 for a in range(3):
-                    t[a] = B[0, a] * t_seed[0] + B[1, a] * t_seed[1] + B[2, a] * t_seed[2]
+                    t_out[a] = B[0, a] * t[0] + B[1, a] * t[1] + B[2, a] * t[2]
                     for b in range(3):
-                        R[a, b] = B[0, a] * R_seed[0, b] + B[1, a] * R_seed[1, b] + B[2, a] * R_seed[2, b]
-                count = 3 + hits
-                _gather(assignment, leds, px, sigma, some_leds, some_px, some_sigma)
-                chi2, _, _ = refine_pose(
-                    model_id, lens, some_leds[:count], some_px[:count], some_sigma[:count], R, t, _REFINE_STEPS,
-                    _HOPELESS_PER_DOF * hits,
-                )  # fmt: skip
-                if chi2 > _HOPELESS_PER_DOF * (2 * count - 6):
-                    continue
-                before = -1
-                for turn in range(_ROUNDS):
-                    count = _assign_near(
-                        model_id, lens, px, sigma, leds, axes, cos_loose, R, t, _GATE_PX if turn == 0 else 0.0,
-                        assignment, taken,
-                    )  # fmt: skip
-                    if count < 4 or (turn > 1 and count == before):
-                        break
-                    before = count
-                    _gather(assignment, leds, px, sigma, some_leds, some_px, some_sigma)
-                    chi2, _, _ = refine_pose(
-                        model_id, lens, some_leds[:count], some_px[:count], some_sigma[:count], R, t, _REFINE_STEPS,
-                        np.inf,
-                    )  # fmt: skip
-                    if chi2 == np.inf:
-                        break
-                if count < 4 or chi2 == np.inf:
-                    continue
-                rank = chi2 - (MISSING_COST + STRAY_COST) * count
-                found = _keep(found, rank, R, t, assignment, costs, Rs, ts, assignments)
+                        R_out[a, b] = B[0, a] * R[0, b] + B[1, a] * R[1, b] + B[2, a] * R[2, b]
+                chi2, count = settle(model_id, lens, px, sigma, leds, axes, cos_loose, assignment, taken, R_out, t_out)
+                if chi2 < np.inf:
+                    rank = chi2 - (MISSING_COST + STRAY_COST) * count
+                    found = keep(found, rank, j, R_out, t_out, assignment, costs, Rs, ts, assignments, met)
         if found > 0:
-            at = int(np.argmin(costs[:found]))
-            count = np.sum(assignments[at] >= 0)
+            at = least(costs, found)
+            count = 0
+            for led in range(n):
+                count += assignments[at, led] >= 0
             chi2 = costs[at] + (MISSING_COST + STRAY_COST) * count
+            missed = 1.0
             if count >= _CERTAIN and chi2 < _CERTAIN_CHI2_PER_DOF * (2 * count - 6):
-                missed = (1.0 - _SEED_SHARE * (count / m) ** 2) ** (j + 1)
+                missed = exp(-float(met[at, 0]))
     if needed == 1 and j + 1 == seeds.shape[0] and tried <= most_tried:
         missed = 0.0
-    least = np.min(costs[:found]) if found > 0 else 0.0
-    kept = 0
-    for i in range(found):
-        if costs[i] > least + _WORTH_REFINING:
-            continue
-        R[:] = Rs[i]
-        t[:] = ts[i]
-        assignment[:] = assignments[i]
-        count = _gather(assignment, leds, px, sigma, some_leds, some_px, some_sigma)
-        chi2, _, _ = refine_pose(
-            model_id, lens, some_leds[:count], some_px[:count], some_sigma[:count], R, t, 2 * _REFINE_STEPS, np.inf
-        )
-        if chi2 == np.inf or not t[0] * t[0] + t[1] * t[1] + t[2] * t[2] >= min_range_m * min_range_m:
-            continue
-        cost = chi2 + appearance_cost(R, t, leds, axes, assignment, looks, look_sigma, exponent)
-        cost += STRAY_COST * (m - count)
-        cone = 0.0
-        for led in range(n):
-            if assignment[led] >= 0:
-                cone += cone_cost(R, t, leds[led], axes[led], cos_limit[led])
-            elif is_lit(R, t, leds[led], axes[led], cos_limit[led]):
-                cost += MISSING_COST
-        costs[kept] = cost + cone
-        chi2s[kept] = chi2
-        cones[kept] = cone
-        Rs[kept] = R
-        ts[kept] = t
-        assignments[kept] = assignment
-        kept += 1
+    found = _add_look_alikes(
+        model_id, lens, px, sigma, leds, axes, cos_loose, turns, shifts, found, costs, Rs, ts, assignments, met
+    )
+    kept = _score(
+        model_id, lens, px, sigma, looks, look_sigma, exponent, leds, axes, cos_limit, min_range_m, found, costs, chi2s,
+        cones, Rs, ts, assignments,
+    )  # fmt: skip
     return kept, tried, missed
