@@ -31,19 +31,38 @@ def quantile_interval(sizes: FloatArray, level: float, clusters: Clusters) -> Es
     """
     from scipy import stats
 
-    n = len(sizes)
     ordered = np.sort(sizes)
     value = float(np.quantile(ordered, level))
     trials = int(worth(sizes, clusters))
     lower = int(stats.binom.ppf(TAIL, trials, level))
     upper = int(stats.binom.ppf(1.0 - TAIL, trials, level)) + 1
-    low = float(ordered[int(np.floor((lower - 1) / trials * n))]) if lower >= 1 else 0.0
+    # Seen from above, a lower end is the upper end of the complement.
+    low = -_interpolated(-ordered[::-1], trials, 1.0 - level, trials + 1 - lower) if lower >= 1 else 0.0
     if upper > trials:
         needed = int(np.ceil(np.log(TAIL) / np.log(level)))
         note = f"worth {trials} independent captures: {needed} are needed to bound the {100.0 * level:.0f}th percentile"
         return clusters.estimate(value, min(low, value), np.inf, note, trials)
-    high = float(ordered[int(np.ceil(upper / trials * n)) - 1])
+    high = _interpolated(ordered, trials, level, upper)
     return clusters.estimate(value, min(low, value), max(high, value), worth=trials)
+
+
+def _interpolated(ordered: FloatArray, trials: int, level: float, rank: int) -> float:
+    """Upper end between two order statistics, where the one of ``rank`` alone would cover more than is asked.
+
+    Source: J. Nyblom, Note on interpolated order statistics, 1992.
+    """
+    from scipy import stats
+
+    wanted = 1.0 - TAIL
+    less, more = (float(stats.binom.cdf(r - 1, trials, level)) for r in (rank - 1, rank))
+    share = 1.0
+    if rank > 1 and less < wanted < more and rank <= trials:
+        odds = (rank - 1) * (1.0 - level) * (more - wanted) / ((trials - rank + 1) * level * (wanted - less))
+        share = 1.0 / (1.0 + odds)
+    n = len(ordered)
+    # Captures of one place that are worth one lie side by side: the middle of them stands for their rank.
+    below, above = np.interp((np.array([rank - 1, rank]) - 0.5) / trials, (np.arange(n) + 0.5) / n, ordered)
+    return float((1.0 - share) * below + share * above)
 
 
 def max_interval(sizes: FloatArray, clusters: Clusters, things: str = "independent captures") -> Estimate:
