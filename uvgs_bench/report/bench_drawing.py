@@ -50,10 +50,10 @@ def bench_figure(run: Run, registration: Registration) -> Figure | None:
         + "."
     )
     with style(key):
-        figure = canvas(height_in=4.3, arranges_itself=False)
+        figure = canvas(height_in=3.7, arranges_itself=False)
         axes = space_axes(figure, everything, elev_deg=22.0, azim_deg=-118.0)
         span = np.ptp(in_space(everything), axis=0)
-        axes.set_box_aspect(np.maximum(span, 0.2 * float(span.max())), zoom=1.05)
+        axes.set_box_aspect(np.maximum(span, 0.2 * float(span.max())), zoom=0.92)
         for corner in cone:
             axes.plot(*in_space(np.stack([np.zeros(3), corner])).T, color=FAINT, lw=0.9)
         axes.plot(*in_space(np.vstack([cone, cone[:1]])).T, color=FAINT, lw=0.9)
@@ -69,8 +69,7 @@ def bench_figure(run: Run, registration: Registration) -> Figure | None:
     data = tuple(series(f"beacon {n}", "m", beacons[:, k]) for k, n in enumerate("xyz"))
     held = "" if registration.rank == 12 else f" Places no motion tells are chosen: {registration.gauge}."
     caption = (
-        "The bench as registered, true to scale, in the camera frame; x orange, y green, z blue; thin lines: field of "
-        f"view.{held}"
+        f"The bench as registered, in the camera frame; x orange, y green, z blue; thin lines: field of view.{held}"
     )
     return Figure(key, svg, alt, caption, data)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 WIDTH_IN = 4.9
 """Narrow enough to be read on a telephone without zooming, two side by side on paper."""
 
-MOST_POINTS = 1200
+MOST_POINTS = 800
 """A drawing of more points than this is thinned; the exported numbers are never."""
 
 _STYLE: dict[str, Any] = {

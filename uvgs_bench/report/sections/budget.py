@@ -29,6 +29,9 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         "is common is the same in every capture: averaging does not make it smaller."
     )
     blocks: list[Block] = [Paragraph(text), _lines_table(budget), _bars(budget), _sum_table(budget)]
+    origins = tuple((line.name, line.source, line.improve) for line in budget.lines)
+    words = (Column("Line"), Column("Known from"), Column("Made smaller by"))
+    blocks.append(Table("Where each line is known from, and what would make it smaller.", words, origins))
     if budget.advice:
         level: Level = "info"
         blocks.append(Alerts(tuple(Alert(level, advice) for advice in budget.advice)))
@@ -56,8 +59,6 @@ def _lines_table(budget: Budget) -> Table:
                 line.distribution if known else "not stated",
                 Number(line.degrees_of_freedom if known else None, 0),
                 "yes" if line.is_common else "no",
-                line.source,
-                line.improve,
             )
         )
     columns = (
@@ -70,8 +71,6 @@ def _lines_table(budget: Budget) -> Table:
         Column("Law"),
         Column("Freedom", is_numeric=True),
         Column("Common"),
-        Column("Known from"),
-        Column("Made smaller by"),
     )
     caption = (
         "Standard uncertainty that each line adds to one error; share: of the squared position doubt; freedom: degrees "

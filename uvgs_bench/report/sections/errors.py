@@ -1,7 +1,8 @@
-"""Errors against range, station position and time, drawn."""
+"""Errors against range, angles, station position and time, drawn."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,11 +34,21 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     blocks: list[Block] = [
         Paragraph("One mark per held-out capture. A straight slope against range or position points at a scale error.")
     ]
-    blocks.append(_against_range(table, position_mm, "range-position", _POSITION, "position error", "mm"))
-    blocks.append(_against_range(table, attitude_deg, "range-attitude", _ATTITUDE, "attitude error", "deg"))
+    off_axis_deg = deg_from_rad(table.field_angle_rad)
+    # A beacon shows the same face along its axis whichever way the axis is told to point.
+    turned_deg = deg_from_rad(np.minimum(table.view_angle_rad, np.pi - table.view_angle_rad))
+    distance = _Abscissa("range", "m", "range to the beacon (m)", table.range_m)
+    off_axis = _Abscissa("off-axis", "deg", "angle off the optical axis (deg)", off_axis_deg)
+    turned = _Abscissa("view", "deg", "angle between beacon axis and line of sight (deg)", turned_deg)
+    blocks += [
+        _against(distance, position_mm, _POSITION, "position error", "mm"),
+        _against(distance, attitude_deg, _ATTITUDE, "attitude error", "deg"),
+        _against(off_axis, position_mm, _POSITION, "position error", "mm"),
+        _against(turned, attitude_deg, _ATTITUDE, "attitude error", "deg"),
+    ]
     blocks.extend(_against_axis(table, position_mm, i, axis) for i, axis in enumerate(run.manifest.axes))
     blocks.append(_against_time(run, table, judgement.in_sample_table))
-    return Section("errors", "Errors against range, position and time", tuple(blocks))
+    return Section("errors", "Errors against range, angle, position and time", tuple(blocks))
 
 
 def _scatter(axes: Axes, x: FloatArray, errors: FloatArray, names: tuple[str, ...]) -> None:
@@ -47,30 +58,41 @@ def _scatter(axes: Axes, x: FloatArray, errors: FloatArray, names: tuple[str, ..
     symmetric_limits(axes, errors)
 
 
-def _against_range(
-    table: ErrorTable, errors: FloatArray, key: str, names: tuple[str, ...], what: str, unit: str
-) -> Figure:
-    has_range = float(np.ptp(table.range_m)) > 1e-6
-    slope = np.polyfit(table.range_m, errors, 1)[0] if has_range else np.zeros(3)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Abscissa:
+    """What errors are drawn against: short name, unit, words of the axis, values (N,)."""
+
+    name: str
+    unit: str
+    words: str
+    values: FloatArray
+
+
+def _against(x: _Abscissa, errors: FloatArray, names: tuple[str, ...], what: str, unit: str) -> Figure:
+    has_extent = float(np.ptp(x.values)) > 1e-6
+    slope = np.polyfit(x.values, errors, 1)[0] if has_extent else np.zeros(3)
     largest = np.abs(errors).max(axis=0)
+    key = f"{x.name}-{what.split()[0]}"
+    of = x.words.rpartition(" (")[0]
     alt = (
-        f"Components of the {what} against range from {table.range_m.min():.3f} m to {table.range_m.max():.3f} m. "
+        f"Components of the {what} against {of} from {x.values.min():.3f} {x.unit} to {x.values.max():.3f} {x.unit}. "
         + "; ".join(
-            f"{n}: largest {largest[k]:.3g} {unit}, slope {slope[k]:+.3g} {unit} per m" for k, n in enumerate(names)
+            f"{n}: largest {largest[k]:.3g} {unit}, slope {slope[k]:+.3g} {unit} per {x.unit}"
+            for k, n in enumerate(names)
         )
         + "."
     )
     with style(key):
         figure = canvas()
         axes = figure.add_subplot()
-        shown = thinned(table.count)
-        _scatter(axes, table.range_m[shown], errors[shown], names)
-        axes.set_xlabel("range to the beacon (m)")
+        shown = thinned(len(x.values))
+        _scatter(axes, x.values[shown], errors[shown], names)
+        axes.set_xlabel(x.words)
         axes.set_ylabel(f"{what} ({unit})")
         legend_above(axes, 3)
         svg = svg_of(figure, key, alt)
-    data = (series("range", "m", table.range_m), *(series(n, unit, errors[:, k]) for k, n in enumerate(names)))
-    return Figure(key, svg, alt, f"{what.capitalize()} in camera axes against range, held-out captures.", data)
+    data = (series(x.name, x.unit, x.values), *(series(n, unit, errors[:, k]) for k, n in enumerate(names)))
+    return Figure(key, svg, alt, f"{what.capitalize()} in camera axes against {of}, held-out captures.", data)
 
 
 def _against_axis(table: ErrorTable, errors: FloatArray, i: int, axis: Axis) -> Figure:
