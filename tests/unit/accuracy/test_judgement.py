@@ -206,8 +206,8 @@ def test_order_statistics_know_when_there_are_too_few() -> None:
     assert np.isinf(quantile_interval(sizes, 0.95, Clusters.of(np.arange(59), rng)).high)
     enough = np.linspace(0.0, 1.0, 100)
     found = quantile_interval(enough, 0.95, Clusters.of(np.arange(100), rng))
-    # Binomial(100, 0.95): the 90th and the 100th smallest value enclose the percentile with more than 95 %, the 91st and
-    # the 99th with less: 0.9941 and 0.9629 above, so a share 1 / (1 + 99 / 19 * 0.0191 / 0.0121) of the last step.
+    # Binomial(100, 0.95): the 90th and the 100th smallest value enclose the percentile with more than 95 %, the 91st
+    # and the 99th with less: 0.9941 and 0.9629 above, so a share 1 / (1 + 99 / 19 * 0.0191 / 0.0121) of the last step.
     assert 89.0 / 99.0 < found.low < 90.0 / 99.0
     assert found.high == pytest.approx((98.0 + 0.108) / 99.0, abs=1e-4)
 
