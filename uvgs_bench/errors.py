@@ -76,6 +76,12 @@ class RegistrationError(UvgsError):
     exit_code = ExitCode.INCONCLUSIVE
 
 
+class PlanError(UvgsError):
+    """No procedure on this bench gives what is wanted of it."""
+
+    exit_code = ExitCode.INCONCLUSIVE
+
+
 class CaptureError(UvgsError):
     """A camera source cannot be opened or read.
 

@@ -5,11 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from uvgs_bench.accuracy import Registration
+from uvgs_bench.accuracy.observations import Mount
+from uvgs_bench.accuracy.registration import FRAMES_BY_MOUNT
+from uvgs_bench.errors import ConfigError
+from uvgs_bench.geometry import Pose
 from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
-from uvgs_bench.store.documents import SCHEMA_KEY, write_atomically
+from uvgs_bench.store.documents import SCHEMA_KEY, read_toml, write_atomically
 from uvgs_bench.store.toml_text import toml_text
-from uvgs_bench.units import deg_from_rad, mm_from_m
+from uvgs_bench.units import deg_from_rad, m_from_mm, mm_from_m
 
 
 def registration_tables(registration: Registration, run_id: str) -> dict[str, object]:
@@ -55,6 +61,41 @@ def write_registration(path: Path, registration: Registration, run_id: str, *, f
         UvgsError: It cannot be written.
     """
     write_atomically(path, toml_text(registration_tables(registration, run_id)), force=force)
+
+
+def read_registered_poses(path: Path, mount: Mount) -> tuple[Pose, Pose]:
+    """Read the two poses of a registration file.
+
+    Args:
+        path: The file.
+        mount: Which part rides the carriage on the bench the poses are meant for.
+
+    Returns:
+        Left and right pose, as in ``Registration``.
+
+    Raises:
+        UnreadableDocument: It is missing or unreadable.
+        ConfigError: It is no registration, or one of a bench with the other mount.
+    """
+    tables = read_toml(path)
+    if tables.get("mount") != mount:
+        raise ConfigError(f"is {tables.get('mount')!r}, this bench has {mount!r}", str(path), "mount")
+    poses = []
+    for part, (target, source) in zip(("left", "right"), FRAMES_BY_MOUNT[mount], strict=True):
+        table = tables.get(part)
+        if not isinstance(table, dict):
+            raise ConfigError("this table is required, as uvgs register writes it", str(path), part)
+        if (table.get("target"), table.get("source")) != (target, source):
+            raise ConfigError(f"must be {target}_from_{source}", str(path), part)
+        try:
+            turn = np.asarray(table["quaternion_xyzw"], dtype=np.float64)
+            shift_m = m_from_mm(np.asarray(table["translation_mm"], dtype=np.float64))
+            poses.append(Pose.from_quaternion(turn, shift_m, target, source))
+        except KeyError as error:
+            raise ConfigError("this key is required", str(path), f"{part}.{error.args[0]}") from None
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"is no pose: {error}", str(path), part) from None
+    return poses[0], poses[1]
 
 
 def _pose_table(registration: Registration, part: Literal["left", "right"]) -> dict[str, object]:
