@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -14,6 +14,7 @@ from uvgs_bench.sensor import peak_kernels as pk
 from uvgs_bench.sensor.background_kernels import background_and_noise
 from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.config import UvgsConfig
+from uvgs_bench.sensor.mosaic import mosaic_sigma
 from uvgs_bench.sensor.preprocess import intensity, segment
 
 MAX_COMPONENTS = 256
@@ -107,6 +108,11 @@ def full_scale_dn(image: ImageArray, brightest_dn: float | None = None) -> float
     return float(next(top for top in (1023, 4095, 16383, 65535) if brightest <= top))
 
 
+def full_scale_of(capture: Capture) -> float:
+    """Largest value a pixel of a capture can have, DN: as its source says, else as ``full_scale_dn`` finds."""
+    return full_scale_dn(capture.image) if capture.full_scale_dn is None else capture.full_scale_dn
+
+
 def noise_dn(raw: ImageArray) -> float:
     """Deviation of the pixel noise, DN, from neighbours on a sparse grid: a gradient or a few lights do not matter."""
     return background_and_noise(raw, int(raw.max()))[1]
@@ -125,7 +131,8 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     raw = intensity(capture.image)
     maxima = pk.tile_maxima(raw)
     brightest = float(maxima.max())
-    full_scale = full_scale_dn(raw, brightest)
+    stated = capture.full_scale_dn
+    full_scale = full_scale_dn(raw, brightest) if stated is None else stated
     background, noise, texture = background_and_noise(raw, int(brightest))
     # Before a bright wall lights stand out from what is dark about them.
     contrast = brightest - min(background, float(maxima.min()))
@@ -148,7 +155,10 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
         found = table[:count] if count >= 0 else None
     if found is None:
         return NoBlobs("blobs", "too_many_blobs", f"more than {MAX_COMPONENTS} bright places or {pk.MAX_PEAKS} peaks")
-    return _measure(capture.image, raw, found, full_scale, config)
+    blobs = _measure(capture.image, raw, found, full_scale, config)
+    if capture.bayer is None:
+        return blobs
+    return replace(blobs, sigma_px=mosaic_sigma(blobs.sigma_px, blobs.width_px, blobs.hue_deg))
 
 
 def _components_of_segmentation(raw: ImageArray, config: UvgsConfig) -> FloatArray | None:

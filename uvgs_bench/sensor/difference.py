@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uvgs_bench.errors import CaptureError
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.sensor.blobs import full_scale_dn, noise_dn
+from uvgs_bench.sensor.blobs import full_scale_of, noise_dn
 from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.exposure import measure_levels
 from uvgs_bench.sensor.preprocess import intensity
@@ -144,7 +144,7 @@ def difference(on: Capture, off: Capture, config: DifferenceConfig | None = None
 
     rules = DifferenceConfig() if config is None else config
     _check_pair(on, off)
-    full = full_scale_dn(on.image if full_scale_dn(on.image) >= full_scale_dn(off.image) else off.image)
+    full = max(full_scale_of(on), full_scale_of(off))
     lit, dark = intensity(on.image), intensity(off.image)
     shift = find_shift(lit, dark, rules.motion_px)
     moved = _shifted(off.image, shift)
@@ -168,7 +168,7 @@ def difference(on: Capture, off: Capture, config: DifferenceConfig | None = None
     added = 1.0 + 1.0 / (_MEAN_SIDE_PX * _MEAN_SIDE_PX)
     name = f"{on.source} - {off.source}" if on.source or off.source else ""
     return Difference(
-        Capture(image, on.t_ns, name, on.index, on.exposure_s),
+        Capture(image, on.t_ns, name, on.index, on.exposure_s, on.bayer, full),
         shift,
         float(np.sqrt(added * flat_noise**2 + 1.0 / 12.0)),
         np.ascontiguousarray(removed, dtype=np.float32),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.sensor.blobs import Blobs, full_scale_dn
+from uvgs_bench.sensor.blobs import Blobs, full_scale_of
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
 from uvgs_bench.sensor.preprocess import intensity
@@ -190,7 +190,7 @@ def clipped_leds(capture: Capture, estimate: PoseEstimate) -> int:
     Returns:
         The count; LEDs that were not seen do not count.
     """
-    full = full_scale_dn(capture.image)
+    full = full_scale_of(capture)
     seen = estimate.led_px[np.isfinite(estimate.led_px).all(axis=1)]
     cores = [
         capture.image[max(0, v - _CORE_PX) : v + _CORE_PX + 1, max(0, u - _CORE_PX) : u + _CORE_PX + 1]
@@ -210,7 +210,7 @@ def measure_levels(capture: Capture, boxes_px: FloatArray) -> tuple[LightLevel, 
         One level per box.
     """
     raw = intensity(capture.image)
-    full = full_scale_dn(raw)
+    full = full_scale_of(capture)
     floor = float(np.median(raw[4::17, 4::19])) if raw.size > 4096 else float(np.median(raw))
     height, width = raw.shape
     levels = []

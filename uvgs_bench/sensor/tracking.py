@@ -61,7 +61,7 @@ def follow(capture: Capture, prior: PoseEstimate, tables: FitTables) -> Fit | No
         A believed fit, or None when the whole picture has to be searched.
     """
     image = capture.image
-    full_scale = 255.0
+    full_scale = 255.0 if capture.full_scale_dn is None else capture.full_scale_dn
     if image.dtype != np.uint8:
         # Of a deeper picture the brightest pixel tells the number of bits, and finding it takes the whole picture.
         return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from uvgs_bench.devices.cameras.source import ExposureControl
 from uvgs_bench.errors import ConfigError
-from uvgs_bench.sensor.blobs import NoBlobs, find_blobs, full_scale_dn
+from uvgs_bench.sensor.blobs import NoBlobs, find_blobs, full_scale_of
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.exposure import (
     ExposureAdvice,
@@ -107,7 +107,7 @@ class ExposureLoop:
 
     def _advised(self, capture: Capture, outcomes: Mapping[str, Outcome]) -> ExposureAdvice:
         # Levels are said by the depth the picture shows; the camera knows its own.
-        share = min(full_scale_dn(capture.image) / self._camera.full_scale_dn, 1.0)
+        share = min(full_scale_of(capture) / self._camera.full_scale_dn, 1.0)
         levels = [_scaled(level, share) for level in self._levels(capture, outcomes)]
         peak = 0.0 if levels else float(capture.image.max()) / self._camera.full_scale_dn
         return advise_exposure(

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.sensor.blobs import Blobs, NoBlobs, find_blobs, full_scale_dn, noise_dn
+from uvgs_bench.sensor.blobs import Blobs, NoBlobs, find_blobs, full_scale_of, noise_dn
 from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.exposure import LightLevel, led_levels
@@ -89,7 +89,7 @@ def measure_noise(captures: Sequence[Capture]) -> SceneNoise:
     backgrounds = [float(np.median(raw[::7, ::7])) for raw in pictures]
     steps = [_pixel_noise(a, b) for a, b in pairwise(pictures)]
     return SceneNoise(
-        max(full_scale_dn(raw) for raw in pictures),
+        max(full_scale_of(capture) for capture in captures),
         float(np.median(backgrounds)),
         float(np.median([_unevenness(raw) for raw in pictures])),
         float(np.median([noise_dn(raw) for raw in pictures])),
@@ -130,7 +130,7 @@ def measure_lights(captures: Sequence[Capture], outcomes: Sequence[Outcome], con
         if isinstance(outcome, PoseEstimate) and is_led.any():
             found = led_levels(capture, outcome, None, len(outcome.led_px))
             levels.append(found[0])
-            full = full_scale_dn(intensity(capture.image))
+            full = full_scale_of(capture)
             heights += [full * (level.peak - level.background) for level in found]
             areas += blobs.area_px2[is_led].tolist()
             circularities += blobs.circularity[is_led].tolist()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from uvgs_bench.devices.cameras.base import ClosingSource
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.errors import CaptureError, ConfigError
-from uvgs_bench.sensor.capture import Capture
+from uvgs_bench.sensor.capture import BayerPattern, Capture
 
 if TYPE_CHECKING:
     from uvgs_bench.devices.cameras.spec import CameraSpec
@@ -29,23 +29,29 @@ class ImageFolder(ClosingSource):
     Args:
         spec: The spec string, for messages.
         files: The pictures in order.
+        bayer: Pattern of the colour mosaic that the pictures are, to be made into colour; None when they are none.
+        bits: Bits of a pixel that the camera filled; None when all.
     """
 
-    def __init__(self, spec: str, files: list[Path]) -> None:
+    def __init__(
+        self, spec: str, files: list[Path], bayer: BayerPattern | None = None, bits: int | None = None
+    ) -> None:
         super().__init__(spec, is_live=False, length=len(files))
         self._files = files
+        self._bayer = bayer
+        self._bits = bits
         self._next = 0
         self._first: tuple[str, int, int] | None = None
 
     @classmethod
     def open(cls, spec: CameraSpec, _clock: Clock) -> ImageFolder:
-        """Open ``images:FOLDER`` with the option ``glob``.
+        """Open ``images:FOLDER`` with the options ``glob``, ``bayer`` (``rggb bggr grbg gbrg``) and ``bits`` (8 to 16).
 
         Raises:
             CaptureError: The folder is missing or no picture in it matches.
-            ConfigError: An option is unknown, or the pattern leaves the folder.
+            ConfigError: An option is unknown or has no meaning, or the pattern leaves the folder.
         """
-        spec.check_options(("glob",))
+        spec.check_options(("glob", "bayer", "bits"))
         if not spec.target:
             raise ConfigError("name the folder, images:. for this one", spec.text)
         folder = Path(spec.target)
@@ -66,13 +72,13 @@ class ImageFolder(ClosingSource):
         if not files:
             wanted = f"no picture matches '{pattern}'" if "glob" in spec.options else "holds no pictures"
             raise CaptureError(f"{wanted}, expected files ending in {' '.join(sorted(_SUFFIXES))}", spec.target)
-        return cls(spec.text, files)
+        return cls(spec.text, files, _bayer_of(spec), _bits_of(spec))
 
     def grab(self) -> Capture | None:
         """The next picture, or None after the last.
 
         Raises:
-            CaptureError: It cannot be read, is truncated, or differs in size from the first.
+            CaptureError: It cannot be read, is truncated, differs in size from the first, or is not as the options say.
         """
         if self._next >= len(self._files):
             return None
@@ -89,7 +95,44 @@ class ImageFolder(ClosingSource):
                 str(path),
             )
         self._next += 1
-        return Capture(image, index * STEP_NS, path.name, index)
+        full_scale_dn = None if self._bits is None else float((1 << self._bits) - 1)
+        if full_scale_dn is not None and not image.max() <= full_scale_dn <= np.iinfo(image.dtype).max:
+            raise CaptureError(
+                f"has {image.dtype} pixels up to {image.max()} DN, which {self._bits} bits cannot be", str(path)
+            )
+        if self._bayer is not None:
+            image = _developed(image, self._bayer, path)
+        return Capture(image, index * STEP_NS, path.name, index, bayer=self._bayer, full_scale_dn=full_scale_dn)
+
+
+def _bayer_of(spec: CameraSpec) -> BayerPattern | None:
+    named = spec.options.get("bayer")
+    for pattern in get_args(BayerPattern):
+        if named == pattern:
+            return pattern  # type: ignore[no-any-return]
+    if named is not None:
+        raise ConfigError(f"expected bayer={'|'.join(get_args(BayerPattern))}, got '{named}'", spec.text)
+    return None
+
+
+def _bits_of(spec: CameraSpec) -> int | None:
+    named = spec.options.get("bits")
+    if named is None:
+        return None
+    if not (named.isascii() and named.isdigit() and 8 <= int(named) <= 16):
+        raise ConfigError(f"expected bits=8 to bits=16, got '{named}'", spec.text)
+    return int(named)
+
+
+def _developed(mosaic: ImageArray, pattern: BayerPattern, path: Path) -> ImageArray:
+    from uvgs_bench.sensor.mosaic import develop
+
+    if mosaic.ndim == 3:
+        raise CaptureError("is a colour picture, expected a raw mosaic with one value per pixel", str(path))
+    if mosaic.shape[0] % 2 or mosaic.shape[1] % 2:
+        height, width = mosaic.shape
+        raise CaptureError(f"is {width}x{height} px, but a mosaic has even sides", str(path))
+    return develop(mosaic, pattern)
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
