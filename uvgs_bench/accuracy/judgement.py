@@ -17,7 +17,7 @@ from uvgs_bench.accuracy.quantity_catalogue import LIMITABLE
 from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
 from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
 from uvgs_bench.accuracy.suspects import Suspect
-from uvgs_bench.accuracy.uncertainty import Budget
+from uvgs_bench.accuracy.uncertainty import Budget, BudgetInputs, uncertainty_budget
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.errors import RegistrationError
@@ -181,6 +181,7 @@ def judge(
     nominal: Pose | None = None,
     lens: Lens | None = None,
     beacon: Beacon | None = None,
+    known: BudgetInputs | None = None,
 ) -> Judgement:
     """Register on the stations meant for it, judge on the others, and hold the figures against limits.
 
@@ -195,6 +196,7 @@ def judge(
         nominal: Where what rides the carriage is drawn to in unseen directions; the identity when None.
         lens: The lens the sensor was told; without it or the beacon nothing is diagnosed.
         beacon: The beacon it was told.
+        known: What is known beside the captures, for the uncertainty budget.
 
     Returns:
         The judgement. Too little data gives ``inconclusive`` with the reason, never an exception.
@@ -244,6 +246,7 @@ def judge(
         verdict=_overall(verdicts),
         alerts=_sorted(alerts),
         split=split,
+        budget=uncertainty_budget(judged, table, registration, fitted_on, known or BudgetInputs(), rng),
         quantities=named,
         diagnosis=_diagnosis(obs, registration, lens, beacon),
     )

@@ -143,6 +143,10 @@ class Alignment:
     ) -> float:
         """Sum over places of the squared whitened mean residual."""
         e = pose_residuals(self.data, *predicted(left, right, self.R_g, self.t_g))
+        return self.scatter_of(e, weights, of_place, place_count)
+
+    def scatter_of(self, e: FloatArray, weights: FloatArray, of_place: NDArray[np.intp], place_count: int) -> float:
+        """The same of given residuals, shape (N, 6), rad and m."""
         w = (self.shares * weights)[:, None, None]
         P_inverse = self.whitening.transpose(0, 2, 1) @ self.whitening * w
         info = np.zeros((place_count, 6, 6))

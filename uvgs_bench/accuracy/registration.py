@@ -230,7 +230,7 @@ def fit_registration(
     extras: dict[str, Any] = {}
     if found is not None:
         into_gauge = gauge_transform(null, gradient, mounted_slice(obs.mount))
-        covariance, extras = _with_terms(found, factor, covariance, into_gauge, degrees, origin_ns, data, len(places))
+        covariance, extras = _with_terms(found, covariance, into_gauge, origin_ns, data, len(places))
     distance = fit.distances(left, right)
     return Registration(
         mount=obs.mount,
@@ -255,10 +255,8 @@ def fit_registration(
 
 def _with_terms(
     found: FittedTerms,
-    factor: float,
     covariance: FloatArray,
     into_gauge: FloatArray,
-    degrees: int,
     origin_ns: int,
     data: Observations,
     places: int,
@@ -268,12 +266,12 @@ def _with_terms(
 
     if not found.taken:
         return covariance, {"term_notes": found.notes}
-    of_terms = factor * found.inflation * found.covariance
+    of_terms = found.covariance
     response = np.concatenate([into_gauge @ found.pose_response, np.eye(TERM_COUNT)])
     joint = response @ of_terms @ response.T
     joint[:12, :12] += covariance
     values, vectors = np.linalg.eigh(0.5 * (joint + joint.T))
-    reach = float(stats.t.ppf(0.975, degrees))
+    reach = float(stats.t.ppf(0.975, max(places - 6, 1)))
     sigmas = np.sqrt(np.maximum(np.diag(of_terms), 0.0))
 
     def estimate(k: int) -> Estimate:

@@ -41,6 +41,7 @@ _SETTLED = 1e-5
 _AXES = "axis_scale+squareness"
 # Share of a sensor-like direction that must lie within a group for it to be held there.
 _ALIKE = 0.1
+_LEAST_SHARE = 0.25
 _EYE = np.eye(_POSES + TERM_COUNT + SENSOR_COUNT)
 # Poses and the sensor's scales: whatever the terms are, these are free.
 _OTHERS = np.delete(_EYE, np.s_[_POSES : _POSES + TERM_COUNT], axis=1)
@@ -53,12 +54,11 @@ class FittedTerms:
     Args:
         values: Scales x, y, z, shears xy, xz, yz, time offset, time rate, shape (8,), 1, rad, s, s/s; 0 where not
             fitted.
-        covariance: Their covariance, shape (8, 8), not yet scaled by the variance factor.
+        covariance: Their covariance, shape (8, 8).
         pose_response: How both poses follow a change of the terms, shape (12, 8), before a gauge is chosen.
         taken: Names of the groups taken up.
         held: Directions of (scale, shear) held at zero, orthonormal rows, shape (k, 6).
         notes: What became of each group, in the order asked.
-        inflation: Scatter of the places' pulls on the terms over what the variance factor says, at least 1.
     """
 
     values: FloatArray
@@ -67,7 +67,6 @@ class FittedTerms:
     taken: tuple[str, ...]
     held: FloatArray
     notes: tuple[str, ...]
-    inflation: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,12 +80,7 @@ class _Normal:
 
     def eliminated(self, keep: FloatArray, drop: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Information about ``keep`` and the places' pulls on it, ``drop`` being free. Columns are directions."""
-        A = drop.T @ self.H @ drop
-        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        values, vectors = np.linalg.eigh(A / np.outer(size, size))
-        good = values > _RELATIVE_FLOOR * float(values[-1])
-        inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T / np.outer(size, size)
-        through = keep - drop @ (inverse @ (drop.T @ self.H @ keep))
+        through = keep - drop @ _solved(drop.T @ self.H @ drop, drop.T @ self.H @ keep)
         return keep.T @ self.H @ through, self.pulls @ through
 
 
@@ -137,12 +131,11 @@ def fit_terms(
     through = state.fit.information(state.left, state.right, state.weights).covariance()
     fitted = FittedTerms(
         values=read_only(state.values),
-        covariance=read_only(basis @ np.linalg.inv(information) @ basis.T),
+        covariance=read_only(basis @ _covariance(information, pulls, normal) @ basis.T),
         pose_response=read_only(-through @ normal.H[:_POSES, _POSES : _POSES + TERM_COUNT]),
         taken=tuple(part for name in taken for part in name.split("+")),
         held=read_only(np.linalg.svd(basis[:6].T)[2][int(np.linalg.matrix_rank(basis[:6])) :]),
         notes=ordered,
-        inflation=_inflation(information, pulls, normal),
     )
     return fitted, state.fit, solution
 
@@ -191,18 +184,30 @@ def _normal(state: _State, data: Observations, of_place: NDArray[np.intp], origi
         ],
         axis=2,
     )
-    J = fit.whitening @ residual_jacobian(e, columns)
+    plain = residual_jacobian(e, columns)
+    J = fit.whitening @ plain
     w = fit.shares * weights
-    rooted = J * np.sqrt(w)[:, None, None]
-    flat = rooted.reshape(-1, J.shape[2])
+    flat = (J * np.sqrt(w)[:, None, None]).reshape(-1, J.shape[2])
+    H = flat.T @ flat
+    # Residuals as they would be with the sensor's scales free: what these explain is not scatter.
+    pull = np.einsum("nki,nk->i", J, np.einsum("nij,nj,n->ni", fit.whitening, e, w), optimize=True)
+    e = e + plain @ (_OTHERS @ -_solved(_OTHERS.T @ H @ _OTHERS, _OTHERS.T @ pull))
     places = int(of_place.max()) + 1
     pulls = np.zeros((places, J.shape[2]))
     np.add.at(pulls, of_place, np.einsum("nki,nk->ni", J, np.einsum("nij,nj,n->ni", fit.whitening, e, w)))
-    H = flat.T @ flat
     size = np.sqrt(np.maximum(np.diag(H)[:_POSES], 1e-300))
     seen = np.linalg.eigvalsh(H[:_POSES, :_POSES] / np.outer(size, size))
     rank = int((seen > 1e-9 * seen[-1]).sum())
-    return _Normal(H, pulls, fit.place_scatter(left, right, weights, of_place, places), rank)
+    return _Normal(H, pulls, fit.scatter_of(e, weights, of_place, places), rank)
+
+
+def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
+    """Least-norm solution of normal equations whose unknowns may not all be seen."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    values, vectors = np.linalg.eigh(A / np.outer(size, size))
+    good = values > _RELATIVE_FLOOR * float(values[-1])
+    through = vectors[:, good].T @ (b.T / size).T
+    return np.asarray(((vectors[:, good] @ (through.T / values[good]).T).T / size).T, dtype=np.float64)
 
 
 def _embedded(basis: FloatArray) -> FloatArray:
@@ -258,21 +263,20 @@ def _asked_for(
     taken, notes, tests = list(bases), dict[str, str](), len(bases)
     basis = np.column_stack(list(bases.values()))
     information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
-    inflation = _inflation(information, pulls, normal)
     found = basis.T @ values
+    # The fit with fewer groups follows from the full one as if the full one were all that was observed.
+    information = np.asarray(np.linalg.inv(_covariance(information, pulls, normal)), dtype=np.float64)
     target = information @ found
     owner = np.repeat(np.arange(tests), [b.shape[1] for b in bases.values()])
-    degrees = max(6 * len(pulls) - normal.rank - len(found) - SENSOR_COUNT, 1)
-    factor = inflation * normal.scatter / degrees
+    degrees = max(len(pulls) - len(found) - 3, 1)
     while taken:
-        # The fit with the groups that are left, by the same normal equations.
         kept = np.flatnonzero([list(bases)[k] in taken for k in owner])
         C = np.linalg.inv(information[np.ix_(kept, kept)])
         here = C @ target[kept]
         chances = {}
         for name in taken:
             own = np.flatnonzero(owner[kept] == list(bases).index(name))
-            gain = float(here[own] @ np.linalg.solve(C[np.ix_(own, own)], here[own])) / (len(own) * factor)
+            gain = float(here[own] @ np.linalg.solve(C[np.ix_(own, own)], here[own])) / len(own)
             chances[name] = tests * float(stats.f.sf(gain, len(own), degrees))
         worst = max(chances, key=lambda name: chances[name])
         if chances[worst] < LEVEL:
@@ -294,13 +298,23 @@ def _odds(chance: float) -> str:
     return f"chance alone explains as much with probability {min(1.0, chance):.2g}"
 
 
-def _inflation(information: FloatArray, pulls: FloatArray, normal: _Normal) -> float:
-    """How much more the places pull to and fro than the variance factor says, averaged over the directions."""
+def _covariance(information: FloatArray, pulls: FloatArray, normal: _Normal) -> FloatArray:
+    """Covariance of directions from how differently the places pull; never below half of the sigma of the model.
+
+    Components of a pose need not all err in proportion to what is stated, so the variance factor, which is one number
+    for all, says too much of some directions and too little of others.
+    """
     S, k = len(pulls), len(information)
     centred = pulls - pulls.mean(axis=0)
-    scatter = centred.T @ centred * S / max(S - 1.0 - normal.rank / 6.0, 1.0)
-    factor = normal.scatter / max(6 * S - normal.rank - k, 1)
-    return max(1.0, float(np.trace(np.linalg.solve(information, scatter))) / max(k * factor, 1e-300))
+    scatter = centred.T @ centred * S / max(S - 1.0 - (normal.rank + k + SENSOR_COUNT) / 6.0, 1.0)
+    model = np.linalg.inv(information) * (normal.scatter / max(6 * S - normal.rank - k - SENSOR_COUNT, 1))
+    # Eigenvalues relative to the model: with few places a direction may seem to scatter less than it can.
+    root = np.linalg.cholesky(model)
+    inverse = np.linalg.inv(information)
+    whitened = np.linalg.solve(root, np.linalg.solve(root, inverse @ scatter @ inverse).T)
+    values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    factor = root @ (vectors * np.sqrt(np.maximum(values, _LEAST_SHARE)))
+    return np.asarray(factor @ factor.T)
 
 
 def _title(name: str) -> str:
