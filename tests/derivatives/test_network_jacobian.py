@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.spots import beacon, lens, random_pose
-from uvgs_bench.beacon.network import GantryModel, LengthRow, Network, Sightings, State, jacobians, residuals_px
+from uvgs_bench.beacon.length_row import LengthRow
+from uvgs_bench.beacon.network import GantryModel, Network, Sightings, State, jacobians, residuals_px
 
 STEP = 1e-6  # rad, m or lens units: truncation and rounding of px values near 1e3 stay below 1e-3 px per unit
 
@@ -24,11 +25,13 @@ def make(kind: str) -> tuple[Network, State]:
     if kind in ("carried", "camera"):
         gantry = GantryModel(rng.uniform(-0.1, 0.1, (views, 3)), kind == "carried", 5e-5, 1e-4, 2e-4)
     network = Network(
-        sightings, 4, np.zeros((12, 0)), gantry, (), 2e-4 if kind == "board" else 0.0, np.eye(lens().parameters.size)
-    )
+        sightings, 4, np.zeros((12, 0)), gantry, (), 2e-4 if kind == "board" else 0.0, np.eye(lens().parameters.size),
+        np.where((led >= 0)[:, None], rng.uniform(-0.5, 0.5, (len(led), 3)), 0.0),
+    )  # fmt: skip
     state = State(
         leds, lens(), np.array([p.R for p in poses]), np.array([p.t_m for p in poses]),
         np.zeros((views if gantry else 0, 3)), np.array([1e-3, -2e-3, 1e-3, 2e-3, 3e-3, -1e-3]), 0.01,
+        np.array([1e-3, -2e-3, 0.0, 3e-3]),
     )  # fmt: skip
     return network, state
 

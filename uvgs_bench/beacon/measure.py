@@ -12,13 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from uvgs_bench.beacon.emission_shift import with_shifts
 from uvgs_bench.beacon.geometry import Beacon
+from uvgs_bench.beacon.length_row import LengthRow
 from uvgs_bench.beacon.measure_checks import check_mirror, check_placed, check_views, pulled_priors
 from uvgs_bench.beacon.measure_fit import robust_fit
 from uvgs_bench.beacon.measure_result import build_result
 from uvgs_bench.beacon.measure_start import LedView, initial, nominal_scale_row
 from uvgs_bench.beacon.measure_types import BeaconMeasurement, Caliper, Distance, LedResiduals, MeasureConfig
-from uvgs_bench.beacon.network import LengthRow, Network
+from uvgs_bench.beacon.network import Network
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.errors import ConfigError
 
@@ -57,6 +59,8 @@ def measure_beacon(
         network = _with(network, lengths=lengths)
     fit = robust_fit(network, state)
     margin = check_mirror(fit.network, fit.state, fit.weight) if is_free else float("inf")
+    if config.is_shift_free:
+        fit = robust_fit(*with_shifts(fit.network, fit.state, nominal))
     warnings = list(fit.warnings)
     scale_source = _SCALE[config.by].format(board=config.board_scale_sigma, gantry=config.scale_sigma)
     if is_free and by_hand:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from uvgs_bench.beacon.frames import fit_rigid, fit_rigid_robust, place
 from uvgs_bench.beacon.geometry import Beacon, Led
+from uvgs_bench.beacon.length_row import LengthRow
 from uvgs_bench.beacon.measure_checks import refuse_vague, view_angles
 from uvgs_bench.beacon.measure_fit import Fit
 from uvgs_bench.beacon.measure_start import LedView
 from uvgs_bench.beacon.measure_types import BeaconMeasurement, Distance, LedResiduals, MeasureConfig
-from uvgs_bench.beacon.network import LengthRow
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import mm_from_m
 
@@ -80,7 +80,7 @@ def build_result(
         f"LED {row.name} seems to wander {mm_from_m(row.shift_m):+.3f} ± {mm_from_m(row.shift_sigma_m):.3f} mm along "
         "its axis with the view angle"
         for row in table
-        if abs(row.shift_m) > 4.0 * row.shift_sigma_m
+        if not config.is_shift_free and abs(row.shift_m) > 4.0 * row.shift_sigma_m
     ]
     s, dropped = fit.network.sightings, np.flatnonzero(fit.weight == 0.0)
     rejected = tuple(
@@ -96,6 +96,7 @@ def build_result(
         Beacon(name or nominal.name, leds, nominal.hue, read_only(covariance)),
         tuple(distances), table, config.by, scale_source, config.frame.text, len(views), fit.sigma_px, redundancy,
         fit.doubt.condition, margin, rejected, tuple(lines),
+        config.is_shift_free,
     )  # fmt: skip
 
 
@@ -155,6 +156,10 @@ def _led_table(nominal: Beacon, leds_m: FloatArray, fit: Fit) -> tuple[LedResidu
                 inverse = np.linalg.inv(normal)
                 shift = float((inverse @ columns.T @ e.ravel())[1])
                 shift_sigma = fit.sigma_px * float(np.sqrt(inverse[1, 1]))
+        at = fit.network.columns.get("shifts")
+        if at is not None and led.axis is not None:
+            shift = float(fit.state.shifts_m[i])
+            shift_sigma = float(np.sqrt(fit.doubt.covariance[at.start + i, at.start + i]))
         out.append(
             LedResiduals(
                 led.name,

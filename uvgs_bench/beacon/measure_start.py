@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from uvgs_bench.beacon.frames import fit_rigid, rigid_motions
 from uvgs_bench.beacon.geometry import Beacon
-from uvgs_bench.beacon.network import GantryModel, LengthRow, Network, Sightings, State
+from uvgs_bench.beacon.length_row import LengthRow
+from uvgs_bench.beacon.network import GantryModel, Network, Sightings, State
 from uvgs_bench.camera.boards import BoardView
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.errors import CalibrationError, TooFewViews

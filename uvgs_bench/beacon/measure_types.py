@@ -46,6 +46,8 @@ class MeasureConfig:
             comes from them.
         is_lens_fixed: Take the lens as exact instead of adjusting it within its covariance.
         worst_sigma_m: A worse distance than this is no measurement, m.
+        is_shift_free: Also estimate how far each emission centre travels along its axis with the view angle; positions
+            are then those seen along the axis.
     """
 
     by: By
@@ -59,6 +61,7 @@ class MeasureConfig:
     nominal_sigma_m: float = 1e-4
     is_lens_fixed: bool = False
     worst_sigma_m: float = 5e-4
+    is_shift_free: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +97,9 @@ class LedResiduals:
         rejected: Sightings set aside.
         rms_px: Root mean square residual per axis, px.
         max_angle_rad: Widest angle between its axis and the line of sight, rad; NaN when it has no axis.
-        shift_m: Apparent travel of the emission centre along the axis from the front view to a grazing one, beyond what
-            a fixed point explains (shift times 1 - cos angle), m; NaN when the views cannot tell.
+        shift_m: Travel of the emission centre along the axis from the front view to a grazing one (shift times 1 - cos
+            angle), m: as adjusted where it was free, else what residuals show beyond what a fixed point explains; NaN
+            when the views cannot tell.
         shift_sigma_m: Its deviation, m.
         deviation_m: Measured minus nominal after laying most LEDs onto their nominal places, m.
         angle_rad: Angle between its axis and the line of sight in each sighting used, shape (count,), rad; empty when
@@ -133,6 +137,7 @@ class BeaconMeasurement:
         mirror_margin: How much more the mirror image costs (chi-square); inf where it cannot be mistaken.
         rejected: Sightings set aside: view, LED, residual in px.
         warnings: Lines for people.
+        is_shift_free: Whether the travel of emission centres was adjusted; positions are then those along the axes.
     """
 
     beacon: Beacon
@@ -148,6 +153,7 @@ class BeaconMeasurement:
     mirror_margin: float
     rejected: tuple[tuple[str, str, float], ...]
     warnings: tuple[str, ...]
+    is_shift_free: bool = False
 
     @property
     def worst_sigma_m(self) -> float:

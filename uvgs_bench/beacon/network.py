@@ -11,17 +11,20 @@ Source: B. Triggs et al., Bundle adjustment - a modern synthesis (2000), section
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from uvgs_bench.beacon.length_row import LengthRow
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.errors import CalibrationError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.se3 import se3_exp
 
 _MAX_ITERATIONS = 100
+# No emission centre travels farther than the dome of an LED is high.
+_SHIFT_SIGMA_M = 5e-3
 # Faults of the gantry: three scales, three squarenesses, as an upper triangle added to the unit matrix.
 _FAULTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
@@ -77,38 +80,6 @@ class GantryModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LengthRow:
-    """One statement about inter-LED distances, without gauge: the mean logarithm of distance over stated distance is 0.
-
-    Args:
-        first: Numbers of one LED of each pair, shape (k,).
-        second: Numbers of the other, shape (k,).
-        stated_m: Stated distances, shape (k,), m.
-        sigma: Deviation of the mean logarithm.
-    """
-
-    first: NDArray[np.intp]
-    second: NDArray[np.intp]
-    stated_m: FloatArray
-    sigma: float
-
-    def residual(self, leds_m: FloatArray) -> float:
-        """Stated minus found."""
-        found = np.linalg.norm(leds_m[self.first] - leds_m[self.second], axis=1)
-        return -float(np.mean(np.log(found / self.stated_m)))
-
-    def gradient(self, leds_m: FloatArray) -> FloatArray:
-        """Derivative of what is found by the LEDs, shape (3n,), 1/m."""
-        edge = leds_m[self.first] - leds_m[self.second]
-        part = edge / (edge**2).sum(axis=1)[:, None] / len(edge)
-        out = np.zeros_like(leds_m)
-        np.add.at(out, self.first, part)
-        np.add.at(out, self.second, -part)
-        result: FloatArray = out.ravel()
-        return result
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Network:
     """What is adjusted and what is held against it.
 
@@ -120,6 +91,8 @@ class Network:
         lengths: Statements about distances.
         board_scale_sigma: Deviation of the print scale of the board, or 0 when there is no board.
         lens_covariance: Covariance of the lens parameters when the lens is adjusted too, shape (P, P), or None.
+        shift_axes: Where a sighted point goes when the emission centre of its LED travels by 1, shape (N, 3), in the
+            frame of the LEDs; None when emission centres stay.
     """
 
     sightings: Sightings
@@ -129,6 +102,7 @@ class Network:
     lengths: Sequence[LengthRow] = ()
     board_scale_sigma: float = 0.0
     lens_covariance: FloatArray | None = None
+    shift_axes: FloatArray | None = None
 
     @property
     def columns(self) -> dict[str, slice]:
@@ -140,6 +114,8 @@ class Network:
             sizes["board_scale"] = 1
         if self.lens_covariance is not None:
             sizes["lens"] = len(self.lens_covariance)
+        if self.shift_axes is not None:
+            sizes["shifts"] = self.led_count
         out, at = {}, 0
         for name, size in sizes.items():
             out[name] = slice(at, at + size)
@@ -160,6 +136,7 @@ class State:
         stops_m: Stopping errors, shape (V, 3), m, gantry frame; empty without a gantry.
         faults: Scales and squarenesses of the gantry, shape (6,).
         board_scale: Print scale of the board minus one.
+        shifts_m: Travel of each emission centre, shape (n,), m; not used when they stay.
     """
 
     leds_m: FloatArray
@@ -169,6 +146,7 @@ class State:
     stops_m: FloatArray
     faults: FloatArray
     board_scale: float = 0.0
+    shifts_m: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def moved(self, network: Network, step: FloatArray, local: FloatArray) -> State:
         """The state after a step of global unknowns, shape (G,), and of local ones, shape (V, k)."""
@@ -186,6 +164,7 @@ class State:
             self.stops_m if network.gantry is None else self.stops_m + local,
             self.faults + step[at["faults"]] if "faults" in at else self.faults,
             self.board_scale + float(step[at["board_scale"]][0]) if "board_scale" in at else self.board_scale,
+            self.shifts_m + step[at["shifts"]] if "shifts" in at else self.shifts_m,
         )
 
 
@@ -194,6 +173,8 @@ def points_in_camera(network: Network, state: State) -> FloatArray:
     s = network.sightings
     is_led = s.led >= 0
     X = np.where(is_led[:, None], state.leds_m[s.led], s.board_m * (1.0 + state.board_scale))
+    if network.shift_axes is not None:
+        X = X + network.shift_axes * np.where(is_led, state.shifts_m[s.led], 0.0)[:, None]
     if network.gantry is None:
         turned = np.einsum("nij,nj->ni", state.R[s.view], X)
         result: FloatArray = turned + state.t_m[s.view]
@@ -243,6 +224,10 @@ def jacobians(network: Network, state: State) -> tuple[FloatArray, FloatArray, F
         by_global[:, :, at["board_scale"].start] = np.where(is_led[:, None], 0.0, by_board)
     if "lens" in at:
         by_global[:, :, at["lens"]] = by_lens
+    if network.shift_axes is not None:
+        by_shift = np.einsum("nij,nj->ni", by_source, network.shift_axes)
+        for i in range(network.led_count):
+            by_global[:, :, at["shifts"].start + i] = np.where((s.led == i)[:, None], by_shift, 0.0)
     if network.gantry is None:
         return s.px - px, by_global, by_pose
     by_global[:, :, at["outer"]] = by_pose
@@ -275,6 +260,8 @@ def _prior(network: Network, state: State, origin: State) -> tuple[FloatArray, F
         scale = 1.0 / np.sqrt(np.diag(network.lens_covariance))
         information = scale[:, None] * np.linalg.inv(scale[:, None] * network.lens_covariance * scale) * scale
         hold(at["lens"], state.lens.parameters - origin.lens.parameters, information)
+    if "shifts" in at:
+        hold(at["shifts"], state.shifts_m, np.eye(network.led_count) * _SHIFT_SIGMA_M**-2.0)
     for row in network.lengths:
         J, e = row.gradient(state.leds_m), row.residual(state.leds_m)
         H[at["leds"], at["leds"]] += np.outer(J, J) / row.sigma**2

@@ -47,6 +47,10 @@ def measure(
     squareness: Annotated[
         float, typer.Option("--squareness-mrad", min=1e-3, help="Deviation of the gantry's squareness, mrad.")
     ] = 0.2,
+    emission_shift: Annotated[
+        bool,
+        typer.Option("--emission-shift", help="Also estimate how emission centres travel along the LEDs' axes."),
+    ] = False,
     fixed_lens: Annotated[bool, typer.Option("--fixed-lens", help="Take the camera file as exact.")] = False,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many pictures.")] = None,
     report: Annotated[
@@ -96,6 +100,7 @@ def measure(
         board_scale_sigma=scale_ppm * 1e-6,
         nominal_sigma_m=m_from_mm(nominal_sigma),
         is_lens_fixed=fixed_lens,
+        is_shift_free=emission_shift,
     )
     error_m = m_from_mm(nominal_error)
     name = out.stem
@@ -153,9 +158,22 @@ def _provenance(result: MeasuredBeacon, source: str) -> str:
         f"Scale: {m.scale_source}.",
         f"Frame: {m.gauge}.",
         f"Worst distance ± {mm_from_m(m.worst_sigma_m):.4f} mm; centroids ± {m.sigma_px:.3f} px.",
+        *(f"{line}." for line in _shift_lines(result)),
         *(f"Warning: {line}" for line in m.warnings),
     ]
     return "\n".join(line.replace("\n", " ") for line in lines)
+
+
+def _shift_lines(result: MeasuredBeacon) -> list[str]:
+    """What was adjusted about emission centres, for people."""
+    from uvgs_bench.units import mm_from_m
+
+    m = result.measurement
+    if not m.is_shift_free:
+        return []
+    rows = [row for row in m.leds if row.shift_sigma_m > 0.0]
+    each = ", ".join(f"{r.name} {mm_from_m(r.shift_m):+.3f} ± {mm_from_m(r.shift_sigma_m):.3f} mm" for r in rows)
+    return [f"Positions as seen along each axis; from the side emission centres come forward by (1 - cos) times {each}"]
 
 
 def _record(result: MeasuredBeacon, config: MeasureConfig) -> dict[str, object]:
@@ -201,6 +219,7 @@ def _record(result: MeasuredBeacon, config: MeasureConfig) -> dict[str, object]:
             }
             for row, led in zip(m.leds, m.beacon.leds, strict=True)
         ],
+        "is_shift_free": m.is_shift_free,
         "rejected": [{"view": view, "led": led, "residual_px": px} for view, led, px in m.rejected],
         "warnings": list(m.warnings),
     }
@@ -239,5 +258,7 @@ def _print(result: MeasuredBeacon) -> None:
         f"centroids ± {m.sigma_px:.3f} px",
         soft_wrap=True,
     )
+    for line in _shift_lines(result):
+        out.print(f"emission     {escape(line)}", soft_wrap=True)
     for line in m.warnings:
         out.print(f"[yellow]warning:[/] {escape(line)}", soft_wrap=True)
