@@ -1,10 +1,10 @@
 """What may be wrong with a bench: residuals held against the signatures of known causes, the likeliest first.
 
 Every cause is one more column of the registration's least squares, weighed by how visits and places really scatter.
-A cause is named when the residuals become so much smaller with it that chance would do it in one clean bench of twenty,
-all causes taken together (Bonferroni's first step of Holm's procedure). Among those the one that explains most for its
-number of parameters comes first (Bayesian information criterion); the next must explain what the first left. Causes
-that explain as much as the first, and nothing beside it, are named with it: these data cannot tell them apart.
+A cause is named when the residuals become so much smaller with it that chance would do it in three clean benches of a
+hundred, all causes taken together (Bonferroni's first step of Holm's procedure). Among those the one that explains most
+for its number of parameters comes first (Bayesian information criterion); the next must explain what the first left.
+Causes that explain as much as the first, and nothing beside it, are named with it: these data cannot tell them apart.
 
 Source: S. Holm, A simple sequentially rejective multiple test procedure (1979); G. Schwarz, Estimating the dimension of
 a model (1978); R. Kass and A. Raftery, Bayes factors (1995).
@@ -33,7 +33,8 @@ __all__ = ["LEAST_VISITS", "Suspect", "diagnose"]
 
 LEAST_VISITS = 12
 """With fewer visits nothing is diagnosed: too little is left once the registration is fitted."""
-_ALPHA = 0.05
+# The parts of the scatter are estimates too: alarms come a little more often than said, and must stay below 5 %.
+_ALPHA = 0.03
 _MOST_SUSPECTS = 4
 # Difference of the information criterion beyond which one cause is clearly better: odds of 150 to 1.
 _CLEARLY = 10.0
