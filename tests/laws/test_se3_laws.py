@@ -11,6 +11,7 @@ from uvgs_bench.errors import FrameMismatch
 from uvgs_bench.geometry import Pose
 from uvgs_bench.geometry.se3 import (
     euler_zyx_from_rotation,
+    is_near_gimbal_lock,
     mean_rotation,
     quaternion_from_rotation,
     rotation_from_euler_zyx,
@@ -84,6 +85,12 @@ def test_quaternion_round_trip(w):
 def test_euler_angles_round_trip(w):
     R = so3_exp(w)
     np.testing.assert_allclose(rotation_from_euler_zyx(*euler_zyx_from_rotation(R)), R, atol=1e-8)  # rad, at the pole
+
+
+def test_gimbal_lock_is_said_beyond_80_degrees_of_pitch():
+    for pitch_deg, is_near in ((0.0, False), (79.0, False), (-79.0, False), (81.0, True), (-81.0, True), (90.0, True)):
+        R = rotation_from_euler_zyx(0.3, np.radians(pitch_deg), -2.0)
+        assert is_near_gimbal_lock(R) is is_near
 
 
 def test_euler_angles_at_the_pole_still_give_the_rotation():

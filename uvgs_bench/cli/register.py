@@ -68,7 +68,7 @@ def _print_registration(judgement: Judgement) -> None:
     from rich.markup import escape
 
     from uvgs_bench.cli.console import out
-    from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
+    from uvgs_bench.geometry.se3 import euler_zyx_from_rotation, is_near_gimbal_lock
     from uvgs_bench.units import deg_from_rad, mm_from_m
 
     registration = judgement.registration
@@ -88,6 +88,8 @@ def _print_registration(judgement: Judgement) -> None:
         out.print(f"  offset mm  {', '.join(offsets)}")
         out.print(f"  turn deg   {', '.join(f'{name} {deg_from_rad(angle):.4f}' for name, angle in angles)} (Z-Y-X)")
         out.print(f"             ± {', '.join(turns)} about {pose.target} x, y, z")
+        if is_near_gimbal_lock(pose.R):
+            out.print("             pitch beyond 80 deg: only the sum or difference of roll and yaw means anything")
     out.print(f"sees {registration.rank} of 12 directions; gauge: {escape(registration.gauge)}")
     for text in registration.blind_spots:
         out.print(f"- {escape(text)}")

@@ -17,6 +17,7 @@ from uvgs_bench.geometry.small_matrices import product, times
 
 # Below this squared angle the series with three terms is exact to double precision.
 _SMALL_ANGLE_SQUARED = 1e-4
+_SINE_OF_80_DEG = 0.984807753012208
 
 
 @compiled
@@ -419,6 +420,18 @@ def euler_zyx_from_rotation(R: FloatArray) -> tuple[float, float, float]:
     if cosine < 1e-9:
         return atan2(-float(R[0, 1]), float(R[1, 1])), pitch, 0.0
     return atan2(float(R[1, 0]), float(R[0, 0])), pitch, atan2(float(R[2, 1]), float(R[2, 2]))
+
+
+def is_near_gimbal_lock(R: FloatArray) -> bool:
+    """Whether yaw and roll of a rotation trade with one another: its pitch is beyond 80 degrees.
+
+    Args:
+        R: Rotation, shape (3, 3).
+
+    Returns:
+        Whether its Euler angles should not be read one by one.
+    """
+    return bool(abs(R[2, 0]) > _SINE_OF_80_DEG)
 
 
 def angle_between(a: FloatArray, b: FloatArray) -> float:

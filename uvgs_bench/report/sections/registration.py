@@ -5,7 +5,7 @@ from __future__ import annotations
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.registration import Registration
 from uvgs_bench.geometry import FloatArray, Pose
-from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
+from uvgs_bench.geometry.se3 import euler_zyx_from_rotation, is_near_gimbal_lock
 from uvgs_bench.report.cells import Cell, Number
 from uvgs_bench.report.document import Alert, Alerts, Block, Column, Paragraph, Section, Table
 from uvgs_bench.store.run import Run
@@ -62,6 +62,8 @@ def _pose_table(pose: Pose, sigma_rad: FloatArray, sigma_m: FloatArray) -> Table
         f"{pose.target}_from_{pose.source}: the {pose.source} origin in {pose.target} axes. Angles are a view only "
         "(roll, pitch, yaw, intrinsic Z-Y-X); rotation doubt is about each axis; doubts hold in the gauge below."
     )
+    if is_near_gimbal_lock(pose.R):
+        caption += " Pitch is beyond 80 deg (gimbal lock): only the sum or difference of roll and yaw means anything."
     return Table(caption, columns, tuple(rows))
 
 
