@@ -10,7 +10,7 @@ from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Figure, Paragraph, Section
-from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of, thinned
+from uvgs_bench.report.figures import legend_above, plain_axes, series, style, svg_of, thinned
 from uvgs_bench.report.palette import INK, SERIES
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.store.run import Run
@@ -84,8 +84,7 @@ def _components(z: FloatArray, key: str, names: tuple[str, ...], what: str) -> F
         + f". {beyond} values lie beyond {_SHOWN_SIGMAS:g} and are counted in the outermost bars."
     )
     with style(key):
-        figure = canvas()
-        axes = figure.add_subplot()
+        figure, axes = plain_axes()
         edges = np.linspace(-_SHOWN_SIGMAS, _SHOWN_SIGMAS, _bars(len(z)) + 1)
         for k, name in enumerate(names):
             clipped = np.clip(z[:, k], edges[0] + 1e-9, edges[-1] - 1e-9)
@@ -110,8 +109,7 @@ def _nees(nees: FloatArray) -> Figure:
         f"{mean:.2f} ({_DEGREES_OF_FREEDOM} expected), {100 * above:.1f} % above its 95 % point (5 % expected)."
     )
     with style(key):
-        figure = canvas()
-        axes = figure.add_subplot()
+        figure, axes = plain_axes()
         reach = 30.0
         edges = np.linspace(0.0, reach, _bars(len(nees)) + 1)
         bars: dict[str, Any] = {"bins": edges, "density": True, "color": SERIES[0], "alpha": 0.65}
@@ -136,8 +134,7 @@ def _nees_by_range(table: ErrorTable) -> Figure:
         f"{far:.2f} in the farther half ({_DEGREES_OF_FREEDOM} expected in both)."
     )
     with style(key):
-        figure = canvas()
-        axes = figure.add_subplot()
+        figure, axes = plain_axes()
         shown = thinned(table.count)
         axes.plot(
             table.range_m[shown], table.nees[shown], "o", color=SERIES[0], ms=3.4, mew=0, alpha=0.75, label="captures"

@@ -12,7 +12,7 @@ from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Block, Figure, Paragraph, Section
-from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of, symmetric_limits, thinned
+from uvgs_bench.report.figures import legend_above, plain_axes, series, style, svg_of, symmetric_limits, thinned
 from uvgs_bench.report.palette import FAINT, MARKERS, SERIES
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, s_from_ns
@@ -83,8 +83,7 @@ def _against(x: _Abscissa, errors: FloatArray, names: tuple[str, ...], what: str
         + "."
     )
     with style(key):
-        figure = canvas()
-        axes = figure.add_subplot()
+        figure, axes = plain_axes()
         shown = thinned(len(x.values))
         _scatter(axes, x.values[shown], errors[shown], names)
         axes.set_xlabel(x.words)
@@ -105,8 +104,7 @@ def _against_axis(table: ErrorTable, errors: FloatArray, i: int, axis: Axis) -> 
         f"{unit}: strongest correlation {_strongest(position, errors)}."
     )
     with style(key):
-        figure = canvas(height_in=2.9)
-        axes = figure.add_subplot()
+        figure, axes = plain_axes(2.9)
         shown = thinned(table.count)
         _scatter(axes, position[shown], errors[shown], _POSITION)
         axes.set_xlabel(f"machine position of axis {axis.name} ({unit})".replace("$", r"\$"))
@@ -150,8 +148,7 @@ def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> 
         series("attitude error", "deg", deg_from_rad(table.attitude_error_rad)),
     ]
     with style(key):
-        figure = canvas(height_in=2.9)
-        axes = figure.add_subplot()
+        figure, axes = plain_axes(2.9)
         if in_sample is not None and in_sample.is_solved.any():
             fitted = in_sample.select(in_sample.is_solved)
             shown = thinned(fitted.count)
