@@ -26,7 +26,7 @@ from uvgs_bench.sensor.outcome import PoseEstimate
 __all__ = ["LedMatch", "LedTable", "NoMatch", "match_leds"]
 
 _DEGENERATE_SINE = 0.05
-WEAK_ODDS = 0.08
+WEAK_ODDS = 0.06
 """A pose is published with a flag when the odds that a light of it is no LED exceed this."""
 
 

@@ -200,13 +200,17 @@ def stray_odds(
                 if not shines(p2, a2, cos_loose[l2]):
                     continue
                 # The named four are not their own rival.
-                if l0 == i0 and l1 == i1 and l2 == i2:
-                    if (
+                if (
+                    l0 == i0
+                    and l1 == i1
+                    and l2 == i2
+                    and (
                         _is_near(p0, corners[i0], 0.0, corners[i0], _SAME_SHIFT)
                         and _is_near(e1, corners[i1], 1.0, corners[i0], _SAME_TURN_RAD)
                         and _is_near(e2, corners[i2], 1.0, corners[i0], _SAME_TURN_RAD)
-                    ):
-                        continue
+                    )
+                ):
+                    continue
                 det = dot(e1, r0) * dot(e3, r1) * dot(e2, r2) - dot(e2, r0) * dot(e1, r1) * dot(e3, r2)
                 weight = d0 * d0 * d1 * d1 * d2 * d2 / (factor * max(abs(det), 1e-12 * sqrt(pp * qq * rr)) * square)
                 if has_light:
