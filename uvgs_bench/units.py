@@ -16,6 +16,7 @@ NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 NS_PER_US = 1_000
 S_PER_MIN = 60.0
+S_PER_DAY = 86400.0
 MM_PER_INCH = 25.4
 
 
@@ -92,3 +93,13 @@ def us_from_s(value_s: float) -> float:
 def radps_from_deg_min(value_deg_min: Number) -> Number:
     """Radians per second from degrees per minute (feed of a rotary axis)."""
     return value_deg_min * (RAD_PER_DEG / S_PER_MIN)
+
+
+def percent_from_fraction(value: Number) -> Number:
+    """Percent from a fraction of one."""
+    return value * 100.0
+
+
+def fraction_from_percent(value_percent: Number) -> Number:
+    """A fraction of one from percent."""
+    return value_percent / 100.0
