@@ -17,6 +17,9 @@ from uvgs_bench.beacon.measure_types import BeaconMeasurement, Distance, LedResi
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import mm_from_m
 
+# Emission centres travel by tenths of a millimetre: a worse deviation says nothing about them.
+_VAGUE_SHIFT_M = 5e-4
+
 
 def build_result(
     views: Sequence[LedView],
@@ -82,6 +85,12 @@ def build_result(
         for row in table
         if not config.is_shift_free and abs(row.shift_m) > 4.0 * row.shift_sigma_m
     ]
+    vague_m = max((row.shift_sigma_m for row in table if row.shift_sigma_m > 0.0), default=0.0)
+    if config.is_shift_free and vague_m > _VAGUE_SHIFT_M:
+        lines.append(
+            f"the views tell the travel of emission centres only to ± {mm_from_m(vague_m):.2f} mm, which widens the "
+            "positions: fix a board to the beacon and tilt it more, or leave the travel out"
+        )
     s, dropped = fit.network.sightings, np.flatnonzero(fit.weight == 0.0)
     rejected = tuple(
         (
