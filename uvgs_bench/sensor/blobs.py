@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sensor import centroid_kernels as ck
@@ -146,7 +147,7 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     if config.detection == "paper":
         found = _components_of_segmentation(raw, config)
     else:
-        floor = max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise, _PEAK_TO_TEXTURE * texture)
+        floor = _floor_dn(contrast, noise, texture, config)
         table = np.empty((MAX_COMPONENTS, dk.COMPONENT_COLUMNS))
         count = dk.find_components(
             raw, maxima, config.window_px // 2, config.threshold_k, floor, config.threshold_floor,
@@ -159,6 +160,33 @@ def find_blobs(capture: Capture, config: UvgsConfig) -> Blobs | NoBlobs:
     if capture.bayer is None:
         return blobs
     return replace(blobs, sigma_px=mosaic_sigma(blobs.sigma_px, blobs.width_px, blobs.hue_deg))
+
+
+def _floor_dn(contrast: float, noise: float, texture: float, config: UvgsConfig) -> float:
+    """Least height of a light above its surroundings, DN."""
+    return max(config.threshold_floor * contrast, _PEAK_TO_NOISE * noise, _PEAK_TO_TEXTURE * texture)
+
+
+def bright_tiles(capture: Capture, config: UvgsConfig) -> NDArray[np.bool_]:
+    """Tiles in which the fast pipeline looks for lights: above the darkest tile of their surroundings. For people.
+
+    Args:
+        capture: The picture.
+        config: Its parameters.
+
+    Returns:
+        Shape (ceil(H / 8), ceil(W / 8)).
+    """
+    import cv2
+
+    raw = intensity(capture.image)
+    maxima = pk.tile_maxima(raw)
+    background, noise, texture = background_and_noise(raw, int(maxima.max()))
+    contrast = float(maxima.max()) - min(background, float(maxima.min()))
+    side = 2 * pk.tiles_around(config.window_px // 2) + 1
+    darkest = cv2.erode(maxima, np.ones((side, side), dtype=np.uint8))
+    above = maxima.astype(np.int64) - darkest
+    return np.asarray(above > int(_floor_dn(contrast, noise, texture, config)))
 
 
 def _components_of_segmentation(raw: ImageArray, config: UvgsConfig) -> FloatArray | None:

@@ -26,6 +26,16 @@ _STRIDE_PX = 2
 
 
 @compiled
+def tiles_around(half: int) -> int:
+    """How far the surroundings of a tile reach, in tiles.
+
+    Args:
+        half: Half side of the local window, px.
+    """
+    return half // TILE_PX + 1
+
+
+@compiled
 def tile_maxima(image: ImageArray) -> ImageArray:
     """Brightest pixel of each tile of 8 x 8 px, in one pass over memory.
 
@@ -236,7 +246,7 @@ def find_peaks(
     """
     height, width = image.shape
     rows, columns = maxima.shape
-    around = half // TILE_PX + 1
+    around = tiles_around(half)
     brightest = int(maxima.max())
     # Tiles are compared with whole numbers of their own type.
     step = int(floor)

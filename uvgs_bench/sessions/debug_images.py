@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.geometry import FloatArray, Pose
-from uvgs_bench.sensor.blobs import Blobs, NoBlobs, find_blobs, full_scale_dn
+from uvgs_bench.sensor.blobs import Blobs, NoBlobs, bright_tiles, find_blobs, full_scale_of
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
@@ -106,7 +106,7 @@ def draw_debug_image(capture: Capture, outcome: Outcome, uvgs: Uvgs) -> Picture:
     # Lights far beyond the largest area are not even measured in earnest; here they are shown as too large.
     widest = max(uvgs.config.max_area_px2, _GREATEST_AREA_PX2)
     blobs = find_blobs(capture, replace(uvgs.config, max_area_px2=widest))
-    _draw_bright_places(pen, raw, uvgs.config)
+    _draw_bright_places(pen, capture, uvgs.config)
     if not isinstance(blobs, NoBlobs):
         _draw_blobs(pen, blobs, blob_notes(blobs, uvgs), outcome)
     if isinstance(outcome, PoseEstimate):
@@ -207,17 +207,17 @@ def _scale_of(width_px: int) -> float:
 
 
 def _brightened(capture: Capture) -> Picture:
-    image = capture.image
-    relative = image.astype(np.float32) / full_scale_dn(image)
+    relative = capture.image.astype(np.float32) / full_scale_of(capture)
     shown: Picture = (np.power(np.clip(relative, 0.0, 1.0), _GAMMA) * 235.0).astype(np.uint8)
     return np.repeat(shown[:, :, None], 3, axis=2) if shown.ndim == 2 else shown
 
 
-def _draw_bright_places(pen: _Pen, raw: NDArray[np.uint8] | NDArray[np.uint16], config: UvgsConfig) -> None:
+def _draw_bright_places(pen: _Pen, capture: Capture, config: UvgsConfig) -> None:
     """The paper's binary mask as outlines, or the tiles in which the fast pipeline looks for peaks."""
     import cv2
 
     if config.detection == "paper":
+        raw = intensity(capture.image)
         if float(raw.max()) <= float(raw.min()):
             return
         seen = segment(raw, config)
@@ -228,10 +228,7 @@ def _draw_bright_places(pen: _Pen, raw: NDArray[np.uint8] | NDArray[np.uint16], 
         return
     from uvgs_bench.sensor import peak_kernels as pk
 
-    maxima = pk.tile_maxima(raw)
-    background = float(np.median(raw[4::17, 4::19])) if raw.size > 4096 else float(np.median(raw))
-    level = background + config.threshold_floor * (float(maxima.max()) - background)
-    for row, column in np.argwhere(maxima > level):
+    for row, column in np.argwhere(bright_tiles(capture, config)):
         corner = np.array([column, row], dtype=np.float64) * pk.TILE_PX
         pen.box(np.concatenate([corner, corner + pk.TILE_PX - 1]), 0.4, (90, 70, 40))
 

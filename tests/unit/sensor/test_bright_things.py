@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from tests.helpers import spots
 from uvgs_bench.sensor import Capture, UvgsConfig
-from uvgs_bench.sensor.blobs import Blobs, find_blobs
+from uvgs_bench.sensor.blobs import Blobs, bright_tiles, find_blobs
 
 SIZE = (640, 480)
 LEDS = np.array([[120.3, 150.7], [200.2, 210.1], [165.9, 260.4], [150.1, 202.6]])
@@ -81,6 +81,18 @@ def test_a_sheet_gives_no_more_blobs_than_it_has_squares():
         found = find_blobs(Capture(picture(SCENES[name], 9), 0), CONFIG)
         assert isinstance(found, Blobs)
         assert len(found) == 4
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_tiles_shown_are_those_in_which_lights_are_found(name):
+    capture = Capture(picture(SCENES[name], 9), 0)
+    blobs, tiles = find_blobs(capture, CONFIG), bright_tiles(capture, CONFIG)
+    assert isinstance(blobs, Blobs)
+    x0, y0, x1, y1 = (blobs.box_px.T.astype(int)) // 8
+    assert all(tiles[a : b + 1, c : d + 1].any() for a, b, c, d in zip(y0, y1, x0, x1, strict=True))
+    if name == "open window":
+        # The middle of a bright even place is not looked at, only its rim and the four lights are.
+        assert tiles.mean() < 0.3
 
 
 def test_before_a_texture_centroids_say_how_little_they_know():
