@@ -55,9 +55,9 @@ def labels(
         return
     for line in (f"beacon {chosen.name}, seed {seed}", *DEFINITIONS):
         out.print(line, soft_wrap=True, markup=False)
-    table = Table(box=None, pad_edge=False)
-    table.add_column("scene")
-    for heading in ("views", "wrong", "wrong, %", "unflagged, %", "flagged, %", "refused, %", "ms"):
+    table = Table(box=None, pad_edge=False, padding=(0, 0, 0, 1))
+    table.add_column("scene", min_width=12)
+    for heading in ("views", "wrong", "wrong\n%", "un-\nflagged\n%", "flagged\n%", "refused\n%", "ms"):
         table.add_column(heading, justify="right", no_wrap=True)
     for name, row in rows.items():
         shares = (row.wrong_share, row.wrong_unflagged / row.views, row.flagged / row.views, row.refused_share)
