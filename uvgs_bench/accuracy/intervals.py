@@ -210,7 +210,7 @@ def within_and_between(errors: FloatArray, clusters: Clusters) -> tuple[Estimate
     if within <= 0.0:
         return repeatability, clusters.estimate(effect, effect, effect)
     ratio = between / within
-    df = _directions(means) * (S - 1), _directions(errors - means[clusters.index]) * (n - S)
+    df = directions(means) * (S - 1), directions(errors - means[clusters.index]) * (n - S)
     ends = [
         between * df[0] / (size * stats.chi2.ppf(q, df[0])) * (1.0 - stats.f.ppf(q, *df) / ratio)
         for q in (1.0 - TAIL, TAIL)
@@ -219,7 +219,14 @@ def within_and_between(errors: FloatArray, clusters: Clusters) -> tuple[Estimate
     return repeatability, clusters.estimate(effect, min(ends[0], effect), max(ends[1], effect))
 
 
-def _directions(values: FloatArray) -> float:
-    """How many equally strong directions the scatter of vectors has, 1 to d (Satterthwaite)."""
+def directions(values: FloatArray) -> float:
+    """How many equally strong directions the scatter of vectors has, 1 to d (Satterthwaite).
+
+    Args:
+        values: Vectors, shape (n, d), n >= 2.
+
+    Returns:
+        Between 1 and d.
+    """
     V = np.atleast_2d(np.cov(values.T))
     return float(np.trace(V) ** 2 / max(float((V**2).sum()), 1e-300)) if np.trace(V) > 0.0 else 1.0

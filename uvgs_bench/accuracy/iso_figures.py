@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, TAIL, Clusters, Estimate
-from uvgs_bench.accuracy.intervals import ratio_interval
+from uvgs_bench.accuracy.intervals import directions, ratio_interval
 from uvgs_bench.geometry import FloatArray
 
 LEAST_CYCLES = 3
@@ -186,15 +186,20 @@ def precision(errors: FloatArray, clusters: Clusters, run: NDArray[np.int64]) ->
     weight = np.where(repeated, size, 0.0)
     total = np.bincount(places, weight, P)
     grand = np.stack([np.bincount(places, weight * c, P) for c in means.T], axis=1) / np.maximum(total, 1.0)[:, None]
+    effects = means - grand[places]
     degrees = int((in_runs - 1)[in_runs > 1].sum())
-    between = float((weight[:, None] * (means - grand[places]) ** 2).sum()) / (d * degrees)
+    between = float((weight[:, None] * effects**2).sum()) / (d * degrees)
     per_cell = float(total.sum() - (np.bincount(places, weight**2, P) / np.maximum(total, 1.0)).sum()) / degrees
     s_L2 = max(between - within, 0.0) / per_cell
     s_R2 = s_L2 + within
     if runs < LEAST_RUNS or P < LEAST_PLACES:
         note = f"only {runs} runs, at least {LEAST_RUNS} are needed for an interval" if runs < LEAST_RUNS else s_r.note
         return Precision(s_r, told(np.sqrt(s_L2), 0.0, np.inf, note), told(np.sqrt(s_R2), 0.0, np.inf, note))
-    b_low, b_high = _chi2_ends(runs - 1)
+    of_run = np.unique(cells[1], return_inverse=True)[1]
+    shares = weight / np.maximum(np.bincount(of_run, weight, runs), 1.0)[of_run]
+    added: FloatArray = np.zeros((runs, d))
+    np.add.at(added, of_run, shares[:, None] * effects)
+    b_low, b_high = _chi2_ends(directions(added) * (runs - 1))
     share, rest = 1.0 / per_cell, 1.0 - 1.0 / per_cell
     low = max(between * b_low - within * w_high, 0.0) / per_cell
     high = max(between * b_high - within * w_low, 0.0) / per_cell
@@ -207,7 +212,7 @@ def precision(errors: FloatArray, clusters: Clusters, run: NDArray[np.int64]) ->
     )
 
 
-def _chi2_ends(freedom: int) -> tuple[float, float]:
+def _chi2_ends(freedom: float) -> tuple[float, float]:
     """Factors from a mean square to the ends of the interval of its variance."""
     from scipy import stats
 

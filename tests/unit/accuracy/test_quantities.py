@@ -170,3 +170,19 @@ def test_two_beacons_on_one_bar_need_no_gantry() -> None:
     assert "E3064" in position.source
     with pytest.raises(ValueError, match="both"):
         two_cluster_quantities((R_b[:0], t_b[:0]), (R_b[:0], t_b[:0]), obs.place[:0], rng)
+
+
+def test_what_differs_between_runs_is_reproducibility() -> None:
+    obs = bench(12, 12)
+    run = np.tile(np.arange(12) // 3, 12)
+    added = np.random.default_rng(8).normal(scale=5e-3, size=(4, 3))
+    found = whole(replace(obs, session=run, t_cb_m=obs.t_cb_m + added[run]))
+    # Planted per axis: 0.60 mm within a run (0.2, 0.2 and 1 mm), known to 3 %; between runs what these four drew.
+    assert found["repeatability_sd"].value == pytest.approx(0.6e-3, rel=0.1)
+    drawn = float(np.sqrt(added.var(axis=0, ddof=1).mean()))
+    assert found["between_runs_sd"].value == pytest.approx(drawn, rel=0.1)
+    assert found["between_runs_sd"].low < 5e-3 < found["between_runs_sd"].high
+    total = found["reproducibility_sd"]
+    assert total.value**2 == pytest.approx(found["repeatability_sd"].value ** 2 + found["between_runs_sd"].value ** 2)
+    assert found["reproducibility_limit"].value == pytest.approx(2.8 * total.value)
+    assert "several runs" in found["drift_position"].note
