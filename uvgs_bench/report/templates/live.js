@@ -157,7 +157,7 @@
   }
 
   // ---- zoom: series over time, one chart a unit, cursors together ----
-  var COLOURS = ["--blue", "--orange", "--green", "--purple", "--yellow"];
+  var COLOURS = ["--blue", "--orange", "--green", "--purple"];
   function zoom(figure, data) {
     var ui = frame(figure, data), groups = [], units = [];
     data.series.forEach(function (s) {
@@ -187,9 +187,10 @@
         axes: [Object.assign({ label: "time since the first capture (s)" }, axis), Object.assign({ label: unit }, axis)],
         series: [{ label: "s", value: function (u, v) { return v === null ? "–" : v.toFixed(2); } }].concat(
           names.map(function (name, n) {
+            var colour = / in sample$/.test(name) ? "--yellow" : COLOURS[n % COLOURS.length];
             return { label: name + " (" + unit + ")", paths: function () { return null; }, show: n < 1 || n === names.length - 1,
-              stroke: function () { return css(COLOURS[n % COLOURS.length]); },
-              points: { show: true, size: 4, fill: function () { return css(COLOURS[n % COLOURS.length]); } },
+              stroke: function () { return css(colour); },
+              points: { show: true, size: 4, fill: function () { return css(colour); } },
               value: function (u, v) { return v === null || v === undefined ? "–" : v.toPrecision(4); } };
           }))
       }, uPlot.join(tables), place);
