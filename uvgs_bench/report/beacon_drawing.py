@@ -17,10 +17,17 @@ from uvgs_bench.units import deg_from_rad, mm_from_m
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-VIEWS = (("front", (0, 1), "from the front, as the camera sees it"), ("side", (2, 1), "from the side"))
-"""Key, horizontal and vertical axis of the beacon frame, and words of each drawing."""
-
 _AXIS_COLOURS = (ORANGE, GREEN, PURPLE)
+
+
+def views_of(beacon: Beacon) -> tuple[tuple[str, tuple[int, int], str], ...]:
+    """Key, horizontal and vertical axis of the beacon frame, and words of each drawing.
+
+    A frame may be set so that the LEDs shine along its +z; then the drawing along z shows the beacon's back.
+    """
+    ahead = sum(float(led.axis[2]) for led in beacon.leds if led.axis is not None)
+    side_of_z = "from the front, as the camera sees it" if ahead < 0.0 else "from behind: its LEDs shine along +z"
+    return ("front", (0, 1), side_of_z if ahead else "along its z axis"), ("side", (2, 1), "from the side")
 
 
 def led_table(beacon: Beacon) -> Table:
@@ -61,13 +68,13 @@ def beacon_figures(beacon: Beacon, nominal_m: FloatArray | None = None) -> tuple
         nominal_m: Where its LEDs were meant to be, beacon frame, shape (N, 3), m; drawn as crosses.
 
     Returns:
-        One figure per entry of ``VIEWS``.
+        One figure per entry of ``views_of``.
     """
     p = mm_from_m(beacon.positions_m)
     size_mm = float(max(np.linalg.norm(a - b) for a in p for b in p))
     depth_mm = float(np.ptp(p[:, 2]))
     figures = []
-    for key, pair, words in VIEWS:
+    for key, pair, words in views_of(beacon):
         name = f"beacon-{key}"
         alt = (
             f"Beacon {beacon.name} {words}: {len(p)} LEDs, the farthest two {size_mm:.1f} mm apart, {depth_mm:.1f} mm "

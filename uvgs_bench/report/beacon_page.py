@@ -12,7 +12,7 @@ import numpy as np
 from uvgs_bench import __version__
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.errors import ConfigError
-from uvgs_bench.report.beacon_drawing import VIEWS, draw_view
+from uvgs_bench.report.beacon_drawing import draw_view, views_of
 from uvgs_bench.report.beacon_evidence import ForecastEvidence, MeasurementEvidence
 from uvgs_bench.report.cells import Interval, Number, State, decimals_for
 from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
@@ -146,7 +146,7 @@ def write_beacon_picture(path: Path, beacon: Beacon) -> None:
     with style(f"beacon-{beacon.name}"):
         figure = Figure(figsize=(10.0, 4.6), layout="constrained")
         FigureCanvasAgg(figure)
-        for axes, (_, pair, words) in zip(figure.subplots(1, 2), VIEWS, strict=True):
+        for axes, (_, pair, words) in zip(figure.subplots(1, 2), views_of(beacon), strict=True):
             draw_view(axes, beacon, pair)
             axes.set_title(words)
         figure.suptitle(label_of(_title(beacon), 90))

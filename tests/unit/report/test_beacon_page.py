@@ -15,6 +15,7 @@ from uvgs_bench.beacon.checks import BeaconWarning
 from uvgs_bench.beacon.geometry import Beacon, Led
 from uvgs_bench.beacon.measure_types import BeaconMeasurement, Distance, LedResiduals
 from uvgs_bench.errors import ConfigError
+from uvgs_bench.report.beacon_drawing import views_of
 from uvgs_bench.report.beacon_evidence import ForecastEvidence, MeasurementEvidence
 from uvgs_bench.report.beacon_page import build_forecast_document, build_measurement_document, write_beacon_picture
 from uvgs_bench.report.document import Table
@@ -129,3 +130,15 @@ def test_a_picture_of_a_beacon_is_refused_with_a_foreign_ending(tmp_path):
     assert "<svg" in (tmp_path / "b.svg").read_text()
     with pytest.raises(ConfigError, match=r"expected a \.png"):
         write_beacon_picture(tmp_path / "b.jpg", beacon())
+
+
+def test_a_frame_whose_leds_shine_along_plus_z_is_drawn_from_behind_and_said_so():
+    ahead = beacon()
+    turned = Beacon(
+        "turned",
+        tuple(replace(led, position_m=led.position_m * [1, -1, -1], axis=-led.axis) for led in ahead.leds),  # type: ignore[operator]
+    )
+    assert "as the camera sees it" in views_of(ahead)[0][2]
+    assert "from behind" in views_of(turned)[0][2]
+    bare = Beacon("bare", tuple(replace(led, axis=None, half_angle_rad=None) for led in ahead.leds))
+    assert views_of(bare)[0][2] == "along its z axis"
