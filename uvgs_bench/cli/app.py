@@ -35,6 +35,7 @@ COMMANDS: dict[str, str] = {
     "compare": "uvgs_bench.cli.compare:compare",
     "benchmark": "uvgs_bench.cli.benchmark:app",
     "study": "uvgs_bench.cli.study:study",
+    "plan": "uvgs_bench.cli.plan:plan",
     "doctor": "uvgs_bench.cli.doctor:doctor",
 }
 
