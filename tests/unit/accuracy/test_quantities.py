@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,3 +187,8 @@ def test_what_differs_between_runs_is_reproducibility() -> None:
     assert total.value**2 == pytest.approx(found["repeatability_sd"].value ** 2 + found["between_runs_sd"].value ** 2)
     assert found["reproducibility_limit"].value == pytest.approx(2.8 * total.value)
     assert "several runs" in found["drift_position"].note
+
+
+def test_the_page_of_procedures_lists_every_limit() -> None:
+    page = (Path(__file__).parents[3] / "procedures" / "README.md").read_text(encoding="utf-8")
+    assert [name for name in QUANTITIES if f"`{name}`" not in page] == []
