@@ -67,6 +67,13 @@ def test_the_warning_is_given_to_few_clean_views_and_most_wrong_ones(beacon):
     assert alike.wrong > alike.wrong_unflagged
 
 
+def test_more_glints_give_more_fours_to_choose_from_and_the_warning_knows(beacon):
+    figures = study_labels(beacon, LabelConditions(hidden=1, glints=3), count=600, seed=29)
+    # 17 wrong are expected, 0.2 of them without a warning; 6 when the choice among 15 fours is not counted.
+    assert figures.wrong > 5
+    assert figures.wrong_unflagged <= 2
+
+
 def test_the_odds_of_a_stray_are_those_of_drawn_poses(beacon):
     """The closed form against sums of determinants from the normal equations, pose by pose."""
     rng = np.random.default_rng(61)

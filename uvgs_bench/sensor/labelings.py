@@ -191,7 +191,8 @@ def odds_of_a_stray(
         looks: As for ``match_leds``.
 
     Returns:
-        The ratio; where a prior speaks for the fit, few of the other poses are as near.
+        The ratio, times the number of fours among the lights, of which the best was chosen; where a prior speaks for the
+        fit, few of the other poses are as near.
     """
     blobs = best.blob_of_led
     at = np.ascontiguousarray(px[blobs])
@@ -202,7 +203,7 @@ def odds_of_a_stray(
         leds.cos_loose, _ORDERS, best.pose.R.copy(), best.pose.t_m.copy(), best.chi2 + best.cone_cost,
         config.min_range_m, config.max_range_m, found.field_px2,
     )  # fmt: skip
-    return odds * (_PRIOR_CHANCE if best.near_prior else 1.0)
+    return odds * comb(found.blobs, 4) * (_PRIOR_CHANCE if best.near_prior else 1.0)
 
 
 def search(
