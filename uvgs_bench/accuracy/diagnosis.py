@@ -38,6 +38,11 @@ _ALPHA = 0.03
 _MOST_SUSPECTS = 4
 # Difference of the information criterion beyond which one cause is clearly better: odds of 150 to 1.
 _CLEARLY = 10.0
+# Captures this many usual lengths from the middle of their visit are disturbed, with noise once in 10000 captures.
+_FAR = 6.5
+# Chance of a run to hold a place set aside for no reason, and how often places are looked through.
+_STRAY = 1e-2
+_CLEANINGS = 3
 _RANK = 1e-6
 _LEAST_EIGENVALUE = 1e-12
 
@@ -55,8 +60,9 @@ def diagnose(
         led_names: Names of the LEDs, length L.
 
     Returns:
-        Suspects, the likeliest first; empty when nothing stands out. Fewer than ``LEAST_VISITS`` visits with a pose say
-        nothing by their residuals.
+        Suspects, the likeliest first; empty when nothing stands out. Captures far from their visit, and places nothing
+        explains, are set aside for the search and counted in the evidence. Fewer than ``LEAST_VISITS`` visits with a
+        pose say nothing by their residuals.
     """
     found = () if registration is None else _by_residuals(obs, registration, lens, leds_m, led_names)
     refused = of_refusals(obs)
@@ -75,15 +81,23 @@ def _by_residuals(
     if len(np.unique(data.station)) < LEAST_VISITS:
         return ()
     residual = pose_residuals(data, *registration.predict(data))
-    L = np.linalg.cholesky(_noise(data, registration, lens, leds_m) + gantry_covariance(registration.gantry_sigma_m))
-    distance = np.linalg.norm(np.linalg.solve(L, residual[:, :, None])[:, :, 0], axis=1)
+    noise = _noise(data, registration, lens, leds_m)
+    distance = _lengths(residual, noise + gantry_covariance(registration.gantry_sigma_m))
     turned = is_turned_away(residual, distance, usual_distance(distance, np.ones(data.count)))
-    kept = data.select(~turned)
     wrong = (of_turned_poses(data, turned),) if turned.any() else ()
-    if len(np.unique(kept.station)) < LEAST_VISITS:
-        return wrong
-    possible = signatures(kept, registration, lens, leds_m, led_names)
-    return wrong + _Search(kept, registration, lens, leds_m, possible).suspects()
+    kept = data.select(~turned & ~_is_stray(residual, noise, data.station))
+    search: _Search | None = None
+    for _ in range(_CLEANINGS):
+        if len(np.unique(kept.station)) < LEAST_VISITS:
+            return wrong
+        possible = signatures(kept, registration, lens, leds_m, led_names)
+        search = _Search(kept, registration, lens, leds_m, possible)
+        strays = search.stray_places()
+        if len(strays) == 0:
+            break
+        kept = kept.select(~np.isin(kept.place, strays))
+    aside = int((~turned).sum()) - kept.count
+    return wrong if search is None else wrong + search.suspects(aside)
 
 
 class _Search:
@@ -107,6 +121,8 @@ class _Search:
         table = np.concatenate([visits.residual[:, :, None], *averaged], axis=2)
         white, _ = whitened(visits, scatter, table)
         ends = np.cumsum([1, *(part.shape[2] for part in averaged)])
+        self.visits, self.has_all = visits, explained.shape[2] > averaged[0].shape[2]
+        self.unexplained = _off(_basis(white[:, 1:]), white[:, :1])[:, 0]
         self.registering = white[:, ends[0] : ends[1]]
         self.basis = _basis(self.registering)
         self.left = _off(self.basis, white[:, :1])[:, 0]
@@ -120,7 +136,23 @@ class _Search:
                 self.possible.append(signature)
                 self.columns.append(columns)
 
-    def suspects(self) -> tuple[Suspect, ...]:
+    def stray_places(self) -> NDArray[np.int64]:
+        """Places that nothing explains: a disturbed capture must not look like a cause."""
+        from scipy.stats import chi2
+
+        found: list[int] = []
+        if not self.has_all:
+            return np.array(found, dtype=np.int64)
+        places = self.obs.place[np.unique(self.obs.station, return_index=True)[1]]
+        first = 0
+        for block in self.visits.blocks:
+            rows = self.unexplained[first : first + 6 * block.size].reshape(len(block), -1)
+            first += 6 * block.size
+            is_stray = chi2.sf((rows**2).sum(axis=1), rows.shape[1]) < _STRAY / len(self.visits.residual)
+            found += places[block[is_stray, 0]].tolist()
+        return np.array(found, dtype=np.int64)
+
+    def suspects(self, aside: int) -> tuple[Suspect, ...]:
         """The search: the best cause, then the best for what it leaves, until nothing stands out."""
         basis, left = self.basis, self.left
         chosen: list[int] = []
@@ -152,7 +184,7 @@ class _Search:
             basis, left = with_best, rest
             # Another instant, LED or axis of the same cause may still be named, but not one the first has used up.
             open_ones = [k for k in open_ones if k != best and not (cause == "slip" == self.possible[k].cause)]
-        return self._described(chosen, found)
+        return self._described(chosen, found, aside)
 
     def _gain(self, basis: FloatArray, left: FloatArray, k: int) -> float:
         """How much of the squared residual a cause explains beside a basis."""
@@ -172,7 +204,9 @@ class _Search:
         count: int = self.columns[k].shape[1]
         return count * float(np.log(self.count))
 
-    def _described(self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]]) -> tuple[Suspect, ...]:
+    def _described(
+        self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]], aside: int
+    ) -> tuple[Suspect, ...]:
         from scipy.stats import t as student
 
         if not chosen:
@@ -186,6 +220,7 @@ class _Search:
         suspects = []
         first = self.registering.shape[1]
         total = float(self.left @ self.left)
+        without = f" ({aside} disturbed captures set aside)" if aside else ""
         for place, (k, (chance, gain, like)) in enumerate(zip(chosen, found, strict=True)):
             signature = self.possible[k]
             rows = slice(first, first + signature.effect.shape[2])
@@ -203,7 +238,7 @@ class _Search:
                     low=low * signature.per_unit,
                     high=(estimate + half) * signature.per_unit,
                     unit=signature.unit,
-                    evidence=f"{signature.sign}; it explains {gain / total:.0%} of the squared residuals",
+                    evidence=f"{signature.sign}; it explains {gain / total:.0%} of the squared residuals{without}",
                     check=signature.check,
                     rank=place + 1,
                     alternatives=like,
@@ -232,6 +267,24 @@ def _explained(visits: Visits, averaged: list[FloatArray]) -> tuple[FloatArray, 
         if left >= 3 * columns.shape[2]:
             break
     return columns, max(left, 1)
+
+
+def _lengths(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Lengths of residuals in units of their doubt, shape (N,)."""
+    white = np.linalg.solve(np.linalg.cholesky(covariance), residual[:, :, None])[:, :, 0]
+    return np.asarray(np.linalg.norm(white, axis=1))
+
+
+def _is_stray(residual: FloatArray, noise: FloatArray, station: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Captures far from the middle of their visit, shape (N,)."""
+    _, of_visit = np.unique(station, return_inverse=True)
+    middle = np.array([np.median(residual[of_visit == v], axis=0) for v in range(int(of_visit.max()) + 1)])
+    distance = _lengths(residual - middle[of_visit], noise)
+    several = np.bincount(of_visit)[of_visit] > 2
+    if not several.any():
+        return several
+    usual = usual_distance(distance[several], np.ones(int(several.sum())))
+    return several & (distance > _FAR * usual)
 
 
 def _can_be_seen(obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray) -> NDArray[np.bool_]:
