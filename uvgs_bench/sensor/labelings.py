@@ -191,7 +191,7 @@ def odds_of_a_stray(
         looks: As for ``match_leds``.
 
     Returns:
-        The ratio, times the number of fours among the lights, of which the best was chosen; where a prior speaks for the
+        The ratio, times the number of fours among the lights; where a prior speaks for the
         fit, few of the other poses are as near.
     """
     blobs = best.blob_of_led
