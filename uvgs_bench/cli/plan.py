@@ -25,9 +25,7 @@ def plan(
     bench: BenchFile = DEFAULT_BENCH,
     registration: Annotated[
         Path | None,
-        typer.Option(
-            help="Where camera and beacon sit, as uvgs register wrote it.  [default: the truth of a simulated bench]"
-        ),
+        typer.Option(help="Where camera and beacon sit, as uvgs register wrote it; a simulated bench knows."),
     ] = None,
     noise_px: Annotated[
         float, typer.Option("--noise-px", help="Noise of a centroid, anew in every capture, px.")

@@ -20,13 +20,13 @@ def study(
     benches: Annotated[int, typer.Option("--benches", min=1, help="Number of simulated benches of each kind.")] = 100,
     seed: Seed = 0,
     workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes.  [default: one per processor]")
+        int | None, typer.Option("--workers", min=1, help="Processes; one per processor when left out.")
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", help="Dask scheduler in place of processes, like tcp://host:8786.")
     ] = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the results.  [default: reports/study_STUDY_SEED]")
+        Path | None, typer.Option("--out", help="Folder of the results; reports/study_STUDY_SEED when left out.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with results that are there.")] = False,
     force: Force = False,
@@ -113,7 +113,7 @@ def _print(result: StudyResult) -> None:
     has_note = any(share.note for share in result.shares)
     if has_target:
         table.add_column("target")
-        table.add_column("")
+        table.add_column("", no_wrap=True)
     if has_note:
         table.add_column("note", overflow="fold")
     for share in result.shares:
