@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers.rendered import Page, check_three_agree
 from tests.helpers.synthetic_run import empty_judgement, observations_of, synthetic_judgement, synthetic_run
+from uvgs_bench.accuracy.bench_terms import AxisTerms
 from uvgs_bench.accuracy.clusters import Estimate
 from uvgs_bench.accuracy.diagnosis import Suspect
 from uvgs_bench.accuracy.judgement import Judgement
@@ -20,7 +21,7 @@ from uvgs_bench.report.bench_drawing import bench_figure
 from uvgs_bench.report.cells import Measured, Number
 from uvgs_bench.report.document import Alerts, Document, Paragraph, Section, Table
 from uvgs_bench.report.html import render_html
-from uvgs_bench.report.sections import budget, diagnosis, gantry, quantities, traceability
+from uvgs_bench.report.sections import budget, diagnosis, gantry, quantities, registration, traceability
 from uvgs_bench.store.gantry_records import AxisRecord, GantryRecord, PairRecord, write_gantry_record
 from uvgs_bench.store.run import Run
 
@@ -148,6 +149,23 @@ def test_the_gantry_is_reported_as_its_record_says(run: Run, tmp_path: Path) -> 
     assert "dial gauge 77" in words(built)
     broken = with_record(run, tmp_path / "broken", "schema = 1\n")
     assert "cannot be read" in words(gantry.build(broken, empty_judgement(run, "x")))
+
+
+def test_terms_beside_the_poses_are_shown_with_their_reasons(run: Run, judgement: Judgement) -> None:
+    assert judgement.registration is not None
+    C = np.diag([5e-5, 0.0, 0.0, 2e-4, 0.0, 0.0]) ** 2
+    terms = AxisTerms(np.array([2e-3, 0.0, 0.0]), np.array([1e-3, 0.0, 0.0]), C, np.empty((0, 6)))
+    offset = Estimate(0.02, 0.018, 0.022, 10, 30)
+    fitted = replace(
+        judgement.registration, axis_terms=terms, time_offset_s=offset, term_notes=("time_rate: left out",)
+    )
+    built = registration.build(run, replace(judgement, registration=fitted))
+    rows = {str(row[0]): row[1:] for row in tables(built)[-1].rows}
+    shown = {name: [cell.value for cell in cells if isinstance(cell, Number)] for name, cells in rows.items()}
+    assert shown["Excess of travel along x"] == pytest.approx([2000.0, 50.0])
+    assert shown["Lean of axes xy"] == pytest.approx([1.0, 0.2])
+    assert shown["Captures are stamped late by"] == pytest.approx([20.0, 1.0])
+    assert "time_rate: left out" in words(built)
 
 
 def test_the_beacon_is_drawn_where_the_registration_predicts_it(run: Run, judgement: Judgement) -> None:

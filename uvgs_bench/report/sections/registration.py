@@ -9,7 +9,7 @@ from uvgs_bench.geometry.se3 import euler_zyx_from_rotation, is_near_gimbal_lock
 from uvgs_bench.report.cells import Cell, Number
 from uvgs_bench.report.document import Alert, Alerts, Block, Column, Paragraph, Section, Table
 from uvgs_bench.store.run import Run
-from uvgs_bench.units import deg_from_rad, mm_from_m
+from uvgs_bench.units import deg_from_rad, mm_from_m, mrad_from_rad, ms_from_s
 
 # A standard deviation below this is no doubt but the gauge's hold.
 _HELD_M = 1e-9
@@ -32,6 +32,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         _pose_table(r.left, *r.sigmas("left")),
         _pose_table(r.right, *r.sigmas("right")),
         _quality_table(r),
+        *_terms(r),
         Paragraph(
             "Registration absorbs any constant offset between what the sensor sees and where the gantry is. What "
             "remains is noise, linearity, scale, depth error, drift and cross-coupling; absolute trueness needs more."
@@ -65,6 +66,32 @@ def _pose_table(pose: Pose, sigma_rad: FloatArray, sigma_m: FloatArray) -> Table
     if is_near_gimbal_lock(pose.R):
         caption += " Pitch is beyond 80 deg (gimbal lock): only the sum or difference of roll and yaw means anything."
     return Table(caption, columns, tuple(rows))
+
+
+def _terms(r: Registration) -> list[Block]:
+    """What was fitted beside the two poses, with the reason for each term taken or left."""
+    rows: list[tuple[Cell, ...]] = []
+    if r.axis_terms is not None:
+        sigmas = r.axis_terms.sigmas
+        for k, axis in enumerate("xyz"):
+            ppm, doubt = 1e6 * float(r.axis_terms.scale[k]), 1e6 * float(sigmas[k])
+            rows.append((f"Excess of travel along {axis}", Number(ppm, 0, "ppm"), Number(doubt, 0, "ppm")))
+        for k, pair in enumerate(("xy", "xz", "yz")):
+            lean, doubt = mrad_from_rad(float(r.axis_terms.shear_rad[k])), mrad_from_rad(float(sigmas[3 + k]))
+            rows.append((f"Lean of axes {pair}", Number(lean, 3, "mrad"), Number(doubt, 3, "mrad")))
+    for name, found in (("Captures are stamped late by", r.time_offset_s), ("growing each second by", r.time_rate)):
+        if found is not None:
+            # Half of a 95 % interval is about two standard deviations.
+            half = 0.25 * (found.high - found.low)
+            rows.append((name, Number(ms_from_s(found.value), 3, "ms"), Number(ms_from_s(half), 3, "ms")))
+    blocks: list[Block] = []
+    if rows:
+        columns = (Column("Term"), Column("Value", is_numeric=True), Column("Doubt, 1σ", is_numeric=True))
+        caption = "Fitted beside the two poses, because the data ask for it; a doubt of 0: held, not seen."
+        blocks.append(Table(caption, columns, tuple(rows)))
+    if r.term_notes:
+        blocks.append(Alerts(tuple(Alert("info", note) for note in r.term_notes)))
+    return blocks
 
 
 def _quality_table(r: Registration) -> Table:
