@@ -42,6 +42,8 @@ _AXES = "axis_scale+squareness"
 # Share of a sensor-like direction that must lie within a group for it to be held there.
 _ALIKE = 0.1
 _LEAST_SHARE = 0.25
+# A place that alone shows a direction cannot be foretold by the others at all.
+_MOST_OWN = 0.99
 _EYE = np.eye(_POSES + TERM_COUNT + SENSOR_COUNT)
 # Poses and the sensor's scales: whatever the terms are, these are free.
 _OTHERS = np.delete(_EYE, np.s_[_POSES : _POSES + TERM_COUNT], axis=1)
@@ -77,11 +79,24 @@ class _Normal:
     pulls: FloatArray
     scatter: float
     rank: int
+    rows: FloatArray
+    of_row: NDArray[np.intp]
 
     def eliminated(self, keep: FloatArray, drop: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Information about ``keep`` and the places' pulls on it, ``drop`` being free. Columns are directions."""
-        through = keep - drop @ _solved(drop.T @ self.H @ drop, drop.T @ self.H @ keep)
+        through = self._through(keep, drop)
         return keep.T @ self.H @ through, self.pulls @ through
+
+    def place_information(self, keep: FloatArray, drop: FloatArray) -> FloatArray:
+        """What each place contributes to the information about ``keep``, shape (S, k, k)."""
+        seen = self.rows @ self._through(keep, drop)
+        out = np.zeros((len(self.pulls), keep.shape[1], keep.shape[1]))
+        np.add.at(out, self.of_row, seen[:, :, None] * seen[:, None, :])
+        return out
+
+    def _through(self, keep: FloatArray, drop: FloatArray) -> FloatArray:
+        """The directions with what the others do to follow them."""
+        return keep - drop @ _solved(drop.T @ self.H @ drop, drop.T @ self.H @ keep)
 
 
 def fit_terms(
@@ -127,11 +142,10 @@ def fit_terms(
         empty = FittedTerms(state.values, nothing, np.zeros((_POSES, TERM_COUNT)), (), np.eye(6), ordered)
         return empty, state.fit, solution
     basis = np.column_stack([bases[name] for name in taken])
-    information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
     through = state.fit.information(state.left, state.right, state.weights).covariance()
     fitted = FittedTerms(
         values=read_only(state.values),
-        covariance=read_only(basis @ _covariance(information, pulls, normal) @ basis.T),
+        covariance=read_only(basis @ _covariance(basis, normal) @ basis.T),
         pose_response=read_only(-through @ normal.H[:_POSES, _POSES : _POSES + TERM_COUNT]),
         taken=tuple(part for name in taken for part in name.split("+")),
         held=read_only(np.linalg.svd(basis[:6].T)[2][int(np.linalg.matrix_rank(basis[:6])) :]),
@@ -198,7 +212,8 @@ def _normal(state: _State, data: Observations, of_place: NDArray[np.intp], origi
     size = np.sqrt(np.maximum(np.diag(H)[:_POSES], 1e-300))
     seen = np.linalg.eigvalsh(H[:_POSES, :_POSES] / np.outer(size, size))
     rank = int((seen > 1e-9 * seen[-1]).sum())
-    return _Normal(H, pulls, fit.scatter_of(e, weights, of_place, places), rank)
+    scatter = fit.scatter_of(e, weights, of_place, places)
+    return _Normal(H, pulls, scatter, rank, flat, np.repeat(of_place, 6))
 
 
 def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
@@ -262,13 +277,12 @@ def _asked_for(
 
     taken, notes, tests = list(bases), dict[str, str](), len(bases)
     basis = np.column_stack(list(bases.values()))
-    information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
     found = basis.T @ values
     # The fit with fewer groups follows from the full one as if the full one were all that was observed.
-    information = np.asarray(np.linalg.inv(_covariance(information, pulls, normal)), dtype=np.float64)
+    information = np.asarray(np.linalg.inv(_covariance(basis, normal)), dtype=np.float64)
     target = information @ found
     owner = np.repeat(np.arange(tests), [b.shape[1] for b in bases.values()])
-    degrees = max(len(pulls) - len(found) - 3, 1)
+    degrees = max(len(normal.pulls) - len(found) - 3, 1)
     while taken:
         kept = np.flatnonzero([list(bases)[k] in taken for k in owner])
         C = np.linalg.inv(information[np.ix_(kept, kept)])
@@ -298,15 +312,20 @@ def _odds(chance: float) -> str:
     return f"chance alone explains as much with probability {min(1.0, chance):.2g}"
 
 
-def _covariance(information: FloatArray, pulls: FloatArray, normal: _Normal) -> FloatArray:
+def _covariance(basis: FloatArray, normal: _Normal) -> FloatArray:
     """Covariance of directions from how differently the places pull; never below half of the sigma of the model.
 
     Components of a pose need not all err in proportion to what is stated, so the variance factor, which is one number
     for all, says too much of some directions and too little of others.
     """
+    keep = _embedded(basis)
+    information, pulls = normal.eliminated(keep, _OTHERS)
     S, k = len(pulls), len(information)
-    centred = pulls - pulls.mean(axis=0)
-    scatter = centred.T @ centred * S / max(S - 1.0 - (normal.rank + k + SENSOR_COUNT) / 6.0, 1.0)
+    # A place that matters much draws the fit to itself and so hides its own error: as if the others had foretold it.
+    own = normal.place_information(keep, _OTHERS) @ np.linalg.inv(information)
+    foretold = np.linalg.solve(np.eye(k) - _MOST_OWN * own, pulls[:, :, None])[:, :, 0]
+    centred = foretold - foretold.mean(axis=0)
+    scatter = centred.T @ centred * S / max(S - 1.0, 1.0)
     model = np.linalg.inv(information) * (normal.scatter / max(6 * S - normal.rank - k - SENSOR_COUNT, 1))
     # Eigenvalues relative to the model: with few places a direction may seem to scatter less than it can.
     root = np.linalg.cholesky(model)
