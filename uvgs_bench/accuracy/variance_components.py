@@ -23,6 +23,8 @@ _RANK = 1e-7
 _EVALUATIONS = 160
 _TOLERANCE = 1e-3
 _STEP = 0.02
+# Multiplications up to which the library that multiplies matrices stays on one core.
+_ONE_CORE = 250_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +161,7 @@ def fit_scatter(visits: Visits, explained: FloatArray, stopping_m: float) -> Sca
         scatter = scatter_at(x)
         white, determinant = whitened(visits, scatter, table)
         # One triangle holds both: the determinant of what is explained, and what is left of the residual.
-        diagonal = np.diagonal(np.linalg.cholesky(white.T @ white))
+        diagonal = np.diagonal(np.linalg.cholesky(_gram(white)))
         within = visits.within_freedom * np.log(scatter.noise) + visits.within / scatter.noise
         # A weak pull keeps parts the data say nothing of near their starts.
         pull = 1e-3 * float(x @ x)
@@ -176,3 +178,14 @@ def fit_scatter(visits: Visits, explained: FloatArray, stopping_m: float) -> Sca
         options={"maxfev": _EVALUATIONS, "xatol": _STEP, "fatol": _TOLERANCE, "initial_simplex": simplex},
     )
     return scatter_at(np.asarray(fitted.x))
+
+
+def _gram(columns: FloatArray) -> FloatArray:
+    """``columns^T columns`` in pieces too small to be spread over cores: waking them costs ten times the work."""
+    p = columns.shape[1]
+    rows = max(_ONE_CORE // (p * p), 1)
+    total = np.zeros((p, p))
+    for first in range(0, len(columns), rows):
+        piece = columns[first : first + rows]
+        total += piece.T @ piece
+    return total
