@@ -96,6 +96,14 @@ def test_an_adjustment_that_did_not_come_to_rest_is_never_usable():
     assert "did not come to rest" in verdict.reasons[0]
 
 
+def test_a_high_order_lens_in_a_wrong_minimum_is_never_usable():
+    """So wide and so bent that the adjustment ends, at rest, with residuals of seventeen times the noise."""
+    lens = Lens("thin_prism", 1280, 960, np.array(TRUE["thin_prism"]) * np.r_[0.75, 0.75, np.ones(14)])
+    result = calibrate(views(lens, 14, np.random.default_rng(3)), "thin_prism")
+    assert result.calibration.verdict.word == "not_usable"
+    assert not any("views are too few" in reason for reason in result.calibration.verdict.reasons)
+
+
 def check_coverage(model: str, count: int, *, is_noise_equal: bool = True) -> None:
     """95 % intervals of parameters and 95 % ellipses of projected points hold the truth as often as they say."""
     lens = Lens(model, 1280, 960, np.array(TRUE[model]))
