@@ -200,15 +200,18 @@ def _normal(state: _State, data: Observations, of_place: NDArray[np.intp], origi
     )
     plain = residual_jacobian(e, columns)
     J = fit.whitening @ plain
-    w = fit.shares * weights
-    flat = (J * np.sqrt(w)[:, None, None]).reshape(-1, J.shape[2])
-    H = flat.T @ flat
+    root = np.sqrt(fit.shares * weights)
+    flat = (J * root[:, None, None]).reshape(-1, J.shape[2])
+    # Not ``flat.T @ flat``: its threads wait for one another for seconds on a busy machine.
+    H = np.einsum("ni,nj->ij", flat, flat)
     # Residuals as they would be with the sensor's scales free: what these explain is not scatter.
-    pull = np.einsum("nki,nk->i", J, np.einsum("nij,nj,n->ni", fit.whitening, e, w), optimize=True)
-    e = e + plain @ (_OTHERS @ -_solved(_OTHERS.T @ H @ _OTHERS, _OTHERS.T @ pull))
+    pull = flat.T @ ((fit.whitening @ e[:, :, None])[:, :, 0] * root[:, None]).ravel()
+    step = _OTHERS @ _solved(_OTHERS.T @ H @ _OTHERS, _OTHERS.T @ pull)
+    e = e - (plain.reshape(-1, J.shape[2]) @ step).reshape(-1, 6)
+    whitened = (fit.whitening @ e[:, :, None])[:, :, 0] * root[:, None]
     places = int(of_place.max()) + 1
     pulls = np.zeros((places, J.shape[2]))
-    np.add.at(pulls, of_place, np.einsum("nki,nk->ni", J, np.einsum("nij,nj,n->ni", fit.whitening, e, w)))
+    np.add.at(pulls, of_place, (flat * whitened.ravel()[:, None]).reshape(J.shape).sum(axis=1))
     size = np.sqrt(np.maximum(np.diag(H)[:_POSES], 1e-300))
     seen = np.linalg.eigvalsh(H[:_POSES, :_POSES] / np.outer(size, size))
     rank = int((seen > 1e-9 * seen[-1]).sum())
