@@ -38,6 +38,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cli, "COMMANDS", {"plan": cli.COMMANDS["plan"], "doctor": cli.COMMANDS["doctor"]})
     monkeypatch.setattr(plan_advice, "_PLACES", (18, 36))
+    monkeypatch.setattr(plan_advice, "_LOOKED_AT", 400)
     monkeypatch.setattr(plan_advice, "_TRIALS", 2)
     monkeypatch.setattr(plan_advice, "_CONFIRMATIONS", 3)
     return path
