@@ -37,7 +37,7 @@ _UNITS = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 1.0, 0.01])
 _WORST_SEEN = 0.1
 _RELATIVE_FLOOR = 1e-11
 _MOST_ITERATIONS = 8
-_SETTLED = 1e-5
+_SETTLED = 1e-4
 _AXES = "axis_scale+squareness"
 # Share of a sensor-like direction that must lie within a group for it to be held there.
 _ALIKE = 0.1
