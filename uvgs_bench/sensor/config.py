@@ -20,7 +20,9 @@ class UvgsConfig:
         element_px: Side of the structuring element of opening and closing (``paper``), px, odd; 1 = none.
         min_contrast: Least range of a picture worth looking at, as a fraction of full scale.
         min_area_px2: Smallest blob, px^2.
-        max_area_px2: Largest blob, px^2.
+        max_area_px2: Largest blob, px^2; where the diameters of the LEDs are known, their size at the nearest range
+            with the widest blur bounds it too.
+        widest_blur_px: Standard deviation of the widest point spread at which LEDs shall be found, px.
         min_circularity: Least 4 pi area / perimeter^2.
         hue_deg: Accepted hues (low, high), degrees, wrapping when low > high; None takes the beacon's.
         min_separation_px: Blobs closer than this to a brighter one cannot be two LEDs, px.
@@ -62,6 +64,7 @@ class UvgsConfig:
     min_contrast: float = 0.05
     min_area_px2: float = 3.0
     max_area_px2: float = 4000.0
+    widest_blur_px: float = 4.0
     min_circularity: float = 0.5
     hue_deg: tuple[float, float] | None = None
     min_separation_px: float = 3.0
@@ -94,7 +97,14 @@ class UvgsConfig:
             value = getattr(self, name)
             if value < 1 or value % 2 == 0:
                 raise ValueError(f"{name} must be odd and positive, got {value}")
-        for name in ("min_area_px2", "min_range_m", "gain_e_per_dn", "max_chi2_per_dof", "max_rms_px"):
+        for name in (
+            "min_area_px2",
+            "widest_blur_px",
+            "min_range_m",
+            "gain_e_per_dn",
+            "max_chi2_per_dof",
+            "max_rms_px",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         for name in (

@@ -36,6 +36,7 @@ class FitTables:
         config: Parameters.
         leds: The tabulated beacon.
         radii_m: Radius of each LED, shape (n,), m; 0 where unknown.
+        reach_m: Distance of the farthest LED from the beacon's origin, m.
         beacon_m2: Covariance of the LEDs, shape (3n, 3n), m^2; (0, 0) when the beacon states none.
         calibration: Covariance of the lens parameters, shape (P, P); (0, 0) when the calibration states none.
         limits: What solutions are judged by.
@@ -46,6 +47,7 @@ class FitTables:
     config: UvgsConfig
     leds: LedTable
     radii_m: FloatArray
+    reach_m: float
     beacon_m2: FloatArray
     calibration: FloatArray
     limits: FloatArray
@@ -61,6 +63,7 @@ class FitTables:
             config,
             LedTable.of(beacon, config),
             np.array(radii_m),
+            float(np.linalg.norm(beacon.positions_m, axis=1).max()),
             none if beacon.covariance_m2 is None else beacon.covariance_m2.copy(),
             none if calibration.covariance is None else calibration.covariance.copy(),
             limits_of(calibration.lens, config),

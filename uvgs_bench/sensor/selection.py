@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log, pi, sqrt
 
 import numpy as np
 
@@ -15,6 +16,9 @@ Mask = np.ndarray[tuple[int], np.dtype[np.bool_]]
 HUES_DEG: dict[str, tuple[float, float]] = {"red": (330.0, 30.0), "green": (80.0, 160.0), "blue": (200.0, 270.0)}
 _WHITE_SATURATION = 0.35
 NEEDED = 4
+# An LED may be this many times brighter than what fills the camera's range.
+_OVEREXPOSED = 100.0
+_LEAST_FLOOR = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +49,43 @@ def distance_bounds(positions_m: FloatArray, focal_px: float, config: UvgsConfig
     return DistanceBounds(config.min_separation_px, focal_px * longest / config.min_range_m)
 
 
-def gates(blobs: Blobs, beacon: Beacon, config: UvgsConfig) -> dict[str, Mask]:
+def largest_area_px2(beacon: Beacon, focal_px: float, range_m: float, config: UvgsConfig) -> float:
+    """The largest blob an LED of a beacon can make from a range on, even far out of focus and far overexposed.
+
+    Its disc, seen face on at that range, grown on all sides by as far as its light stands above the threshold.
+
+    Args:
+        beacon: The beacon; where an LED's diameter is not known, the configured limit stands.
+        focal_px: Focal length, px.
+        range_m: Nearest range, m.
+        config: Threshold, widest blur, and the limit that is never exceeded.
+
+    Returns:
+        Area, px^2.
+    """
+    diameters = [led.diameter_m for led in beacon.leds]
+    if config.detection == "paper" or None in diameters:
+        return config.max_area_px2
+    widest_m = max(d for d in diameters if d is not None)
+    reach_px = config.widest_blur_px * sqrt(2.0 * log(_OVEREXPOSED / max(config.threshold_floor, _LEAST_FLOOR)))
+    return min(config.max_area_px2, 0.25 * pi * (focal_px * widest_m / range_m + 2.0 * reach_px) ** 2)
+
+
+def gates(blobs: Blobs, beacon: Beacon, focal_px: float, config: UvgsConfig) -> dict[str, Mask]:
     """What each blob must pass by itself, in the order of asking.
 
     Args:
         blobs: All blobs.
-        beacon: Its hue.
+        beacon: Its hue and the size of its LEDs.
+        focal_px: Focal length, px.
         config: Limits.
 
     Returns:
         By name of the gate, which blobs pass it, shape (n,).
     """
+    largest = largest_area_px2(beacon, focal_px, config.min_range_m, config)
     return {
-        "area": (blobs.area_px2 >= config.min_area_px2) & (blobs.area_px2 <= config.max_area_px2),
+        "area": (blobs.area_px2 >= config.min_area_px2) & (blobs.area_px2 <= largest),
         "shape": blobs.circularity >= config.min_circularity,
         "hue": _hue_gate(blobs, beacon, config),
         "picture border": ~blobs.on_edge,
@@ -83,7 +111,7 @@ def select_blobs(
     """
     keep = np.ones(len(blobs), dtype=bool)
     dropped = []
-    for name, gate in gates(blobs, beacon, config).items():
+    for name, gate in gates(blobs, beacon, focal_px, config).items():
         lost = int((keep & ~gate).sum())
         if lost:
             dropped.append(f"{lost} by {name}")

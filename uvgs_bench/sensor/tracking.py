@@ -6,6 +6,8 @@ It knows nothing but the prior, so the same picture with the same prior gives th
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from uvgs_bench.geometry import Pose
@@ -13,6 +15,7 @@ from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.fit import DISC_DOUBT, Fit, FitTables
 from uvgs_bench.sensor.outcome import PoseEstimate
+from uvgs_bench.sensor.selection import largest_area_px2
 from uvgs_bench.sensor.tracking_kernels import FOUND, solve_tracked
 from uvgs_bench.units import rad_from_deg, s_from_ns
 
@@ -76,10 +79,13 @@ def follow(capture: Capture, prior: PoseEstimate, tables: FitTables) -> Fit | No
     # Limits count as three deviations.
     turn_rad = rad_from_deg(config.max_turn_deg_s) * gap_s / 3.0
     shift_m = config.max_speed_mps * gap_s / 3.0
+    # Nearer than this no LED can have come; a blob larger than one can be from there is none.
+    near_m = float(np.linalg.norm(t)) - tables.reach_m - 3.0 * shift_m - 3.0 * sqrt(prior.covariance[5, 5])
+    largest = largest_area_px2(tables.beacon, lens.fx_px, max(near_m, config.min_range_m), config)
     status, seen, rms_px = solve_tracked(
         image, lens.model_id, lens.kernel_parameters, leds.positions_m, leds.axes, tables.radii_m, leds.cos_limit,
         tables.beacon_m2, tables.calibration, tables.limits, R, t, prior.covariance.copy(), turn_rad, shift_m,
-        config.window_px // 2, config.threshold_k, config.threshold_floor, config.min_area_px2, config.max_area_px2,
+        config.window_px // 2, config.threshold_k, config.threshold_floor, config.min_area_px2, largest,
         config.min_circularity, config.gain_e_per_dn, full_scale, config.max_iterations, DISC_DOUBT,
         led_px, residual, noise, by_beacon, by_calibration,
     )  # fmt: skip

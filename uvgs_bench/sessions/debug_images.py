@@ -67,7 +67,7 @@ def blob_notes(blobs: Blobs, uvgs: Uvgs) -> tuple[BlobNote, ...]:
     config = uvgs.config
     chosen = select_blobs(blobs, uvgs.beacon, uvgs.calibration.lens.fx_px, config)
     kept = None if isinstance(chosen, NoBlobs) else {tuple(px) for px in chosen.centroid_px.tolist()}
-    passed = gates(blobs, uvgs.beacon, config)
+    passed = gates(blobs, uvgs.beacon, uvgs.calibration.lens.fx_px, config)
     notes = []
     for i in range(len(blobs)):
         reason = next((_failing(name, blobs, i) for name, gate in passed.items() if not gate[i]), "")
