@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from pathlib import PurePath
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.errors import UvgsError
@@ -45,7 +46,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         if is_later:
             text = f"{_WORDS[name]} is dated {date}, after this run began: it is not what it claims to be."
             alerts.append(Alert("warning", text))
-        source = run.manifest.sources.get(name, "")
+        source = _nearby(run.manifest.sources.get(name, ""))
         rows.append((_WORDS.get(name, name), date or _NO_DATE, age, source or _NO_DATE, hashes[name]))
     if SETUP_GANTRY not in hashes:
         text = (
@@ -67,6 +68,11 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     if alerts:
         blocks.append(Alerts(tuple(alerts)))
     return Section("traceability", "Traceability", tuple(blocks))
+
+
+def _nearby(path: str) -> str:
+    """File and folder: a report that is handed on says nothing of the machine it was made on."""
+    return "/".join(PurePath(path).parts[-2:])
 
 
 def _dates(run: Run) -> dict[str, str]:
