@@ -139,6 +139,18 @@ def test_few_views_are_inconclusive_and_ask_for_more():
     assert any("15 more in all" in wish for wish in verdict.next_pictures)
 
 
+def test_rows_read_while_the_board_moved_are_not_usable():
+    """A rolling shutter: by the last row the board has moved on by two pixels, in each picture another way."""
+    rng = np.random.default_rng(5)
+    moved = []
+    for view in simulated(26):
+        angle_rad = rng.uniform(0.0, 2.0 * np.pi)
+        since = (view.px[:, 1] - view.px[:, 1].mean()) / view.height_px
+        moved.append(replace(view, px=view.px + 2.0 * since[:, None] * [np.cos(angle_rad), np.sin(angle_rad)]))
+    assert verdict_of(simulated(26)).is_usable
+    assert verdict_of(moved).word == "not_usable"
+
+
 def test_flat_boards_are_not_usable_and_ask_for_tilt():
     verdict = verdict_of(simulated(15, tilt_rad=0.12))
     assert verdict.word == "not_usable"
