@@ -80,7 +80,8 @@ def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.
     indices = np.concatenate([places[number] for number in own])
     order = np.argsort(indices)
     refined = _refined(grey, board, px[order])
-    misfit = ratio_misfit(board, _tag_shares(board, dict(zip(indices[order].tolist(), refined, strict=True))))
+    shares = _tag_shares(board, dict(zip(indices[order].tolist(), refined, strict=True)))
+    misfit = ratio_misfit(board, shares, np.inf)
     return misfit or (refined, indices[order].astype(np.intp))
 
 

@@ -36,11 +36,14 @@ def check(board: Board) -> None:
 
 def find(grey: NDArray[np.uint8], board: Board) -> tuple[FloatArray, NDArray[np.intp]] | tuple[str, str]:
     """Find the visible corners with their numbers, or say why not."""
+    from uvgs_bench.camera.boards import nearest_distance
+
     seen = _detect(grey, board, board.legacy)
     if isinstance(seen, tuple):
         return _explain(grey, board, *seen)
     px = _refined(grey, board, seen.px)
-    misfit = ratio_misfit(board, _marker_shares(grey, board, seen, px))
+    square_px = float(np.median(nearest_distance(px))) if len(px) > 1 else 0.0
+    misfit = ratio_misfit(board, _marker_shares(grey, board, seen, px), square_px)
     return misfit or (px, seen.numbers)
 
 
