@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import os
 import shutil
 import subprocess
 from dataclasses import dataclass
@@ -67,13 +66,50 @@ class Table:
         return cls(t_us, (x, y, z), duty, pulses, bool(motors))
 
 
-class LockstepBoard:
+class BoardProgram:
+    """A virtual board as a program: commands of ``firmware/host/desk.h`` in, answers out, a line each."""
+
+    def __init__(self, command: list[str]) -> None:
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def table(self) -> Table:
+        """What the pins say now."""
+        self._tell("Q")
+        return Table.read(self._answer())
+
+    def close(self) -> None:
+        """End the program."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(20)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _tell(self, line: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def _answer(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, f"the board's program ended with {self._process.wait(10)}"
+        return line.rstrip("\n")
+
+
+class LockstepBoard(BoardProgram):
     """A board that runs exactly as long as it is told; speaks to ``replay`` as the mock controller does."""
 
     def __init__(self, command: list[str], boot_us: int = 50_000) -> None:
-        self._process = subprocess.Popen(
-            [*command, "--lockstep"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=dict(os.environ)
-        )
+        super().__init__([*command, "--lockstep"])
         self.t_us = 0
         self._offset_us = 0
         self._unfinished = b""
@@ -113,11 +149,6 @@ class LockstepBoard:
         received = self.run_until_us(self.t_us + for_ms * 1000)
         return [line for line in received.decode("ascii").replace("\r\n", "\n").split("\n") if line]
 
-    def table(self) -> Table:
-        """What the pins say now."""
-        self._tell("Q")
-        return Table.read(self._answer())
-
     def do(self, command: str, for_ms: int = 100) -> list[str]:
         """Do something to the board, as written in ``firmware/host/desk.h``, and let it run; the lines it said."""
         self._tell(command)
@@ -128,33 +159,6 @@ class LockstepBoard:
         self._tell("J")
         count, least, median, most, pulse = (int(word) for word in self._answer().split()[1:])
         return count, least, median, most, pulse
-
-    def close(self) -> None:
-        """End the program."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait(10)
-        assert self._process.stdout is not None
-        self._process.stdout.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _tell(self, line: str) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
-
-    def _answer(self) -> str:
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        assert line, f"the board's program ended with {self._process.wait(10)}"
-        return line.rstrip("\n")
 
 
 class FirmwareBuilds:

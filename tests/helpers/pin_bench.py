@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-from types import TracebackType
-from typing import Self
-
 import numpy as np
 import serial
 
-from tests.helpers.firmware_board import Table
+from tests.helpers.firmware_board import BoardProgram
 from uvgs_bench.devices.cameras.spec import CameraSpec
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.sim.bench import SimulatedBench
@@ -18,21 +14,12 @@ from uvgs_bench.geometry import Pose
 from uvgs_bench.units import m_from_mm
 
 
-class TerminalBoard:
+class TerminalBoard(BoardProgram):
     """A board on a pseudo-terminal, at the pace of the wall clock."""
 
     def __init__(self, command: list[str]) -> None:
-        self._process = subprocess.Popen([*command, "--pty"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
-        self.port = self._process.stdout.readline().strip()
-
-    def table(self) -> Table:
-        """What the pins say now."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write("Q\n")
-        self._process.stdin.flush()
-        return Table.read(self._process.stdout.readline())
+        super().__init__([*command, "--pty"])
+        self.port = self._answer().strip()
 
     def set_up(self, settings: list[str]) -> None:
         """Open the port as a sender does, and set one setting after the other."""
@@ -41,22 +28,6 @@ class TerminalBoard:
             for setting in settings:
                 port.write(setting.encode("ascii") + b"\n")
                 assert port.read_until(b"ok\r\n").endswith(b"ok\r\n"), setting
-
-    def close(self) -> None:
-        """End the program."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait(20)
-        assert self._process.stdout is not None
-        self._process.stdout.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class PinScene:
