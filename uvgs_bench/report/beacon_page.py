@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +13,8 @@ from uvgs_bench.errors import ConfigError
 from uvgs_bench.report.beacon_drawing import draw_view, views_of
 from uvgs_bench.report.beacon_evidence import ForecastEvidence, MeasurementEvidence
 from uvgs_bench.report.cells import Interval, Number, State, decimals_for
-from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
+from uvgs_bench.report.chapters import built_sections
+from uvgs_bench.report.document import Alert, Document, KeyFigure
 from uvgs_bench.report.figures import label_of, style
 from uvgs_bench.report.sections import FORECAST_SECTIONS, MEASUREMENT_SECTIONS
 from uvgs_bench.units import deg_from_rad, mm_from_m
@@ -59,7 +58,7 @@ def build_measurement_document(evidence: MeasurementEvidence) -> Document:
         headline=f"{said} (1 sigma). Scale: {m.scale_source}. Frame: {m.gauge}.",
         banners=tuple(Alert("warning", text) for text in m.warnings),
         key_figures=figures,
-        sections=_sections(MEASUREMENT_SECTIONS, evidence),
+        sections=built_sections(MEASUREMENT_SECTIONS, evidence),
         provenance=_provenance(m.beacon, evidence.notes),
         genre="beacon report",
         subject="measurement",
@@ -104,24 +103,12 @@ def build_forecast_document(evidence: ForecastEvidence) -> Document:
         headline=f"{headline[0].upper()}{headline[1:]}",
         banners=(),
         key_figures=figures,
-        sections=_sections(FORECAST_SECTIONS, evidence),
+        sections=built_sections(FORECAST_SECTIONS, evidence),
         provenance=_provenance(evidence.beacon, evidence.notes),
         genre="beacon report",
         subject="forecast",
         verdict_word=word,
     )
-
-
-def _sections(table: Mapping[str, str], evidence: object) -> tuple[Section, ...]:
-    found = []
-    for target in table.values():
-        module, function = target.split(":")
-        build: Any = getattr(importlib.import_module(module), function)
-        section = build(evidence)
-        assert section is None or isinstance(section, Section)
-        if section is not None:
-            found.append(section)
-    return tuple(found)
 
 
 def _provenance(beacon: Beacon, notes: Mapping[str, str]) -> tuple[tuple[str, str], ...]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import re
-from typing import Any
 
 from uvgs_bench import __version__
 from uvgs_bench.accuracy.judgement import Judgement, LimitVerdict
 from uvgs_bench.report.cells import Interval, Number
-from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
+from uvgs_bench.report.chapters import built_sections
+from uvgs_bench.report.document import Alert, Document, KeyFigure
 from uvgs_bench.report.quantities import SCALES, decimals_of
 from uvgs_bench.report.sections import SECTIONS
 from uvgs_bench.store.run import Run
@@ -42,17 +41,9 @@ def build_document(run: Run, judgement: Judgement) -> Document:
         headline=headline(judgement),
         banners=_banners(run),
         key_figures=_key_figures(judgement),
-        sections=tuple(section for target in SECTIONS.values() if (section := _section(target, run, judgement))),
+        sections=built_sections(SECTIONS, run, judgement),
         provenance=_provenance(run),
     )
-
-
-def _section(target: str, run: Run, judgement: Judgement) -> Section | None:
-    module, function = target.split(":")
-    build: Any = getattr(importlib.import_module(module), function)
-    section = build(run, judgement)
-    assert section is None or isinstance(section, Section)
-    return section
 
 
 def _banners(run: Run) -> tuple[Alert, ...]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
-
 from uvgs_bench import __version__
 from uvgs_bench.camera.calibration import Calibration, Verdict
 from uvgs_bench.camera.verdict import WARN_HALVES_RATIO
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence
 from uvgs_bench.report.cells import Interval, Number, State, decimals_for
-from uvgs_bench.report.document import Alert, Document, KeyFigure, Section
+from uvgs_bench.report.chapters import built_sections
+from uvgs_bench.report.document import Alert, Document, KeyFigure
 from uvgs_bench.report.sections import CALIBRATION_SECTIONS
 from uvgs_bench.units import mrad_from_rad
 
@@ -44,20 +42,12 @@ def build_calibration_document(evidence: CalibrationEvidence) -> Document:
         headline=_headline(verdict),
         banners=_banners(evidence),
         key_figures=_key_figures(evidence),
-        sections=tuple(s for target in CALIBRATION_SECTIONS.values() if (s := _section(target, evidence)) is not None),
+        sections=built_sections(CALIBRATION_SECTIONS, evidence),
         provenance=_provenance(calibration),
         genre="calibration report",
         subject="calibration",
         verdict_word="not judged" if verdict is None else _word(verdict),
     )
-
-
-def _section(target: str, evidence: CalibrationEvidence) -> Section | None:
-    module, function = target.split(":")
-    build: Any = getattr(importlib.import_module(module), function)
-    section = build(evidence)
-    assert section is None or isinstance(section, Section)
-    return section
 
 
 def _word(verdict: Verdict) -> str:
