@@ -1,0 +1,200 @@
+"""What ``uvgs run`` needs before its first capture: calibration, beacons, parameters, the open source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from uvgs_bench.errors import ConfigError, RunError
+
+if TYPE_CHECKING:
+    from uvgs_bench.beacon import Beacon
+    from uvgs_bench.camera.calibration import Calibration
+    from uvgs_bench.devices.cameras.source import CameraSource
+    from uvgs_bench.sensor.capture import Capture
+    from uvgs_bench.sensor.config import UvgsConfig
+    from uvgs_bench.sensor.handover import HandoverPolicy
+    from uvgs_bench.sensor.uvgs import Uvgs
+    from uvgs_bench.sessions.exposure_loop import ExposureLoop
+    from uvgs_bench.store.run import Run
+
+
+def recorded_run(source: str) -> Run | None:
+    """The run behind a source that is a run folder.
+
+    Args:
+        source: What the user wrote.
+
+    Returns:
+        The run, or None for the spec of a camera.
+
+    Raises:
+        ConfigError: It is a folder without a run.
+        RunError: There is no such folder.
+    """
+    from uvgs_bench.store.run import is_run, read_run
+
+    folder = Path(source)
+    if is_run(folder):
+        return read_run(folder)
+    if ":" not in source:
+        if folder.is_dir():
+            raise ConfigError(f"that folder is no run; for pictures write images:{source}", source)
+        raise RunError(f"there is no such run folder; for pictures write images:{source}", source)
+    return None
+
+
+def read_setup(
+    recorded: Run | None, camera: Path | None, beacon: list[Path], config: Path | None
+) -> tuple[Calibration, list[Beacon], UvgsConfig]:
+    """Read what the captures are solved with; a run folder has its own unless told otherwise.
+
+    Args:
+        recorded: The run, or None.
+        camera: Calibration file, or None.
+        beacon: Beacon files.
+        config: Sensor parameters, or None.
+
+    Returns:
+        Calibration, beacons and parameters.
+
+    Raises:
+        ConfigError: Something is missing, beacons share a name, or one hue is asked for several.
+        FormatError: A file is missing or broken.
+    """
+    from uvgs_bench.sensor.config import UvgsConfig
+    from uvgs_bench.store.beacons import read_beacon
+    from uvgs_bench.store.calibrations import read_calibration
+    from uvgs_bench.store.documents import read_document
+    from uvgs_bench.store.run_writer import SETUP, SETUP_SENSOR
+
+    if recorded is None and camera is None:
+        raise ConfigError("is needed unless the source is a run folder", "--camera")
+    if recorded is None and not beacon:
+        raise ConfigError("is needed unless the source is a run folder", "--beacon")
+    calibration = read_calibration(camera) if camera is not None else None
+    beacons = [read_beacon(path) for path in beacon]
+    if recorded is not None:
+        calibration, beacons = calibration or recorded.calibration, beacons or [recorded.beacon]
+        own = recorded.path / SETUP / SETUP_SENSOR
+        config = own if config is None and own.is_file() else config
+    assert calibration is not None
+    names = [lights.name for lights in beacons]
+    for path, lights in zip(beacon, beacons, strict=False):
+        if names.count(lights.name) > 1:
+            raise ConfigError(f"several beacons are named '{lights.name}'; each needs a name of its own", str(path))
+    parameters = UvgsConfig() if config is None else read_document(config, UvgsConfig)
+    if len(beacons) > 1 and parameters.hue_deg is not None:
+        raise ConfigError(
+            "one hue cannot hold for several beacons; it belongs into their files", str(config), "hue_deg"
+        )
+    return calibration, beacons, parameters
+
+
+def handover_policy(
+    mode: Literal["quality", "position", "command"],
+    zones: list[str],
+    hold_s: float | None,
+    names: tuple[str, ...],
+    active: str | None,
+) -> HandoverPolicy:
+    """The handover of the command's options.
+
+    Args:
+        mode: How the active beacon is chosen.
+        zones: ``NAME=NEAR:FAR`` texts, m.
+        hold_s: How long a pose is held, s, or None for the usual.
+        names: Names of the beacons.
+        active: Beacon that is active at first, or None.
+
+    Returns:
+        The policy.
+
+    Raises:
+        ConfigError: An option does not fit the others or names no beacon.
+    """
+    from uvgs_bench.sensor.handover import HandoverPolicy
+
+    known = ", ".join(names)
+    if active is not None and active not in names:
+        raise ConfigError(f"unknown beacon '{active}', expected one of: {known}", "--active")
+    if zones and mode != "position":
+        raise ConfigError("needs --handover position", "--zone-m")
+    zones_m: dict[str, tuple[float, float]] = {}
+    for text in zones:
+        name, _, span = text.rpartition("=")
+        near, _, far = span.partition(":")
+        if name not in names:
+            raise ConfigError(f"expected NAME=NEAR:FAR with a beacon of {known}, got '{text}'", "--zone-m")
+        try:
+            zones_m[name] = float(near), float(far)
+        except ValueError:
+            raise ConfigError(f"expected NAME=NEAR:FAR in m, got '{text}'", "--zone-m") from None
+    if hold_s is None:
+        hold_s = 0.5 if len(names) > 1 else 0.0
+    try:
+        # One beacon is always the active one.
+        return HandoverPolicy(mode if len(names) > 1 else "quality", zones_m, hold_s=hold_s)
+    except ValueError as error:
+        raise ConfigError(str(error), "--zone-m") from None
+
+
+def open_captures(
+    source: str, recorded: Run | None, stack: ExitStack
+) -> tuple[Iterable[Capture], CameraSource | None, int | None]:
+    """Open the source.
+
+    Args:
+        source: What the user wrote.
+        recorded: The run behind it, or None.
+        stack: Closes it.
+
+    Returns:
+        The captures, the open camera (None for a run) and the number of captures if known.
+
+    Raises:
+        CaptureError: It cannot be opened.
+        RunError: The run kept no pictures.
+    """
+    if recorded is not None:
+        from uvgs_bench.sessions.stream import read_run_captures, run_captures
+
+        return read_run_captures(recorded), None, len(run_captures(recorded))
+    from uvgs_bench.devices.cameras.registry import open_camera
+
+    opened = stack.enter_context(open_camera(source))
+    return opened, opened, opened.length
+
+
+def exposure_loop(
+    opened: CameraSource | None, source: str, sensors: dict[str, Uvgs], longest_ms: float
+) -> ExposureLoop:
+    """The exposure loop of a camera.
+
+    Args:
+        opened: The open camera, or None.
+        source: Its spec, for messages.
+        sensors: One sensor per beacon.
+        longest_ms: Longest exposure, ms.
+
+    Returns:
+        The loop.
+
+    Raises:
+        ConfigError: The camera's exposure cannot be set, or the bound is impossible.
+    """
+    from uvgs_bench.devices.cameras.source import ExposureControl
+    from uvgs_bench.sensor.exposure import ExposurePolicy
+    from uvgs_bench.sessions.exposure_loop import ExposureLoop
+    from uvgs_bench.units import s_from_ms
+
+    control: object = opened
+    if not isinstance(control, ExposureControl):
+        raise ConfigError("the exposure of this source cannot be set; leave --auto-exposure out", source)
+    try:
+        policy = ExposurePolicy(longest_s=s_from_ms(longest_ms))
+    except ValueError as error:
+        raise ConfigError(str(error), "--max-exposure-ms") from None
+    return ExposureLoop(control, sensors, policy)
