@@ -1,4 +1,4 @@
 """How a pose moves in time: filter, factor graph, follower law.
 
-Here: nothing yet but the door. In: pose estimates. Out: states. Plug point: none.
+Here: trajectories in time. In: places and limits, pose estimates. Out: states. Plug point: none.
 """
