@@ -43,7 +43,7 @@ class JudgedBench:
 
     def characterise(self, options: Options, corner_px: float = 0.1, board_sigma: float | None = 0.0) -> GantryRecord:
         """Plan, read, judge."""
-        corners = Corners(self, corner_px)
+        corners = Corners(self, corner_px / np.sqrt(options.captures))
         visits = plan_visits(self.described.envelope, options)
         with open_gantry(
             self.bench.gantry_spec, self.described.envelope, clock=self.clock, log=lambda *_: None

@@ -144,7 +144,9 @@ def test_a_person_may_type_and_may_stop_typing(uvgs) -> None:
 def test_a_board_judges_and_the_bench_uses_it(uvgs, home: Path) -> None:
     """With pictures: the shipped bench has 100, -60, 80 ppm and 0.2, -0.15, 0.1 mrad."""
     board = ("characterise", "--board", "calib/boards/charuco_9x6.toml")
-    code, printed, remarks = uvgs(*board, "--tests", "squareness", "--grid", "3x2x2", "--settle-s", "0", "--json")
+    code, printed, remarks = uvgs(
+        *board, "--tests", "squareness", "--grid", "3x2x2", "--settle-s", "0", "--captures", "2", "--json"
+    )
     assert code == 0
     told = json.loads(printed)
     for axis, planted in zip(told["axes"], (100.0, -60.0, 80.0), strict=True):

@@ -110,31 +110,37 @@ def test_places_on_a_plane_are_refused() -> None:
         fit_axis_errors(views[:5], places[:5], np.eye(3), Calibration(LENS, "true"))
 
 
-def check_planted(record: GantryRecord, *, with_depth: bool) -> None:
-    for axis, planted_ppm in zip(record.axes, PLANTED.scale_ppm, strict=True):
-        assert axis.scale_ppm is not None
-        assert axis.scale_sigma_ppm is not None
-        assert abs(axis.scale_ppm - planted_ppm) < max(200.0, 3.3 * axis.scale_sigma_ppm), axis.name
-        # Y looks along the camera's view: its dead band is the dial gauge's.
-        if axis.name != "Y" or with_depth:
-            assert axis.backlash_mm == pytest.approx(0.1, abs=0.012)
-        assert axis.backlash_low_mm is not None
-        assert axis.backlash_high_mm is not None
-        assert axis.backlash_low_mm - 0.01 < 0.1 < axis.backlash_high_mm + 0.01
-    for pair, planted_mrad in zip(record.pairs, PLANTED.squareness_mrad, strict=True):
-        assert abs(pair.squareness_mrad - planted_mrad) < max(0.1, 3.3 * pair.squareness_sigma_mrad), pair.axes
+TESTED = Options(tests=("still", "reversal", "squareness"), runs=3)
+
+
+def errors_of(record: GantryRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Off by, half of the 95 % interval, and what is 10 % of the planted: scales, squarenesses, dead bands."""
+    axes, pairs = record.axes, record.pairs
+    scale = np.array([axis.scale_ppm for axis in axes]) - PLANTED.scale_ppm
+    lean = np.array([pair.squareness_mrad for pair in pairs]) - PLANTED.squareness_mrad
+    band = np.array([(axis.backlash_mm, axis.backlash_low_mm, axis.backlash_high_mm) for axis in axes]) - 0.1
+    off = np.concatenate([scale, lean, band[:, 0]])
+    # An interval of a dead band need not be even: its half is the one on the side of the truth.
+    reach = np.where(band[:, 0] > 0.0, band[:, 0] - band[:, 1], band[:, 2] - band[:, 0])
+    sigmas = [*(axis.scale_sigma_ppm for axis in axes), *(pair.squareness_sigma_mrad for pair in pairs)]
+    return off, np.concatenate([1.96 * np.array(sigmas), reach]), np.repeat([200.0, 0.1, 0.01], 3)
 
 
 @pytest.fixture(scope="module")
 def judged() -> Iterator[tuple[JudgedBench, GantryRecord]]:
     bench = JudgedBench()
-    yield bench, bench.characterise(Options(tests=("still", "reversal", "squareness"), runs=3))
+    yield bench, bench.characterise(TESTED)
     bench.close()
 
 
 def test_a_gantry_with_planted_errors_is_recognised(judged) -> None:
-    check_planted(judged[1], with_depth=False)
-    assert any("dead band of Y" in remark for remark in judged[1].remarks)
+    off, reach, tenth = errors_of(judged[1])
+    # Y looks along the camera's view: its dead band is the dial gauge's, and the record says so.
+    told = np.arange(9) != 7
+    assert np.all(np.abs(off)[told] < tenth[told])
+    assert np.all(np.abs(off) < 1.7 * reach)
+    assert any("dead band of Y" in remark and "dial gauge" in remark for remark in judged[1].remarks)
+    assert not any("dead band of X" in remark for remark in judged[1].remarks)
 
 
 def test_measured_axes_put_the_carriage_where_it_is(judged) -> None:
@@ -150,9 +156,24 @@ def test_measured_axes_put_the_carriage_where_it_is(judged) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 32))
-def test_many_gantries(seed: int) -> None:
-    bench = JudgedBench(seed=seed)
-    record = bench.characterise(Options(tests=("still", "reversal", "squareness"), runs=3))
-    bench.close()
-    check_planted(record, with_depth=False)
+def test_many_gantries() -> None:
+    found = []
+    for seed in range(2, 42):
+        bench = JudgedBench(seed=seed)
+        found.append(errors_of(bench.characterise(TESTED)))
+        bench.close()
+    off, reach = np.array([o for o, _, _ in found]), np.array([r for _, r, _ in found])
+    tenth = found[0][2]
+    inside = np.abs(off) < reach
+    print("\nscales ppm, squarenesses mrad, dead bands mm; X Y Z, XY XZ YZ, X Y Z")
+    for name, row in (
+        ("rms", np.sqrt(np.mean(off**2, axis=0))),
+        ("largest", np.abs(off).max(axis=0)),
+        ("cover", inside.mean(axis=0)),
+    ):
+        print(f"{name:>8}", np.round(row, 4))
+    told = np.arange(9) != 7
+    # Half of the tenth: along the view two standard deviations are the tenth.
+    assert np.all(np.sqrt(np.mean(off**2, axis=0))[told] < 0.5 * tenth[told])
+    # 360 values of 95 % intervals, nine from each of 40 gantries: below 90 % has a chance of some 1e-3.
+    assert inside.mean() > 0.90

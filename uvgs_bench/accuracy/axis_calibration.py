@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,7 +23,11 @@ from uvgs_bench.geometry.se3 import hat, mean_rotation, so3_exp
 
 _ITERATIONS = 30
 _FEWEST_VIEWS = 8
+_REWEIGHTINGS = 2
 _STEP = 1e-6
+# Range in which the scatter of places is looked for, as shares of that of corners, m/px.
+_TINIEST, _LARGEST = 1e-8, 1e-1
+_EXACT_PX2 = 1e-16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +172,11 @@ def fit_axis_errors(
                 break
         else:
             damping *= 10.0
+    for _ in range(_REWEIGHTINGS):
+        fit.weigh(*fit.linearised(*state)[:2])
+        for _ in range(2):
+            M, scores = fit.normal(*fit.linearised(*state)[:2])
+            state = fit.moved(state, np.linalg.solve(M.sum(axis=0), scores.sum(axis=0)))
     return fit.result(state, calibration, board_sigma)
 
 
@@ -185,6 +195,9 @@ class _Fit:
         self._board_m = np.concatenate([view.board_m for view in views])
         self._px = np.concatenate([view.px for view in views])
         self.view = np.repeat(np.arange(len(views)), [len(view.px) for view in views])
+        ends = np.concatenate([[0], 2 * np.cumsum([len(view.px) for view in views])])
+        self._rows = [slice(a, b) for a, b in pairwise(ends)]
+        self._share_m_px = 0.0
 
     def moved(
         self, state: tuple[FloatArray, FloatArray, FloatArray, FloatArray], step: FloatArray
@@ -214,18 +227,58 @@ class _Fit:
         U = J.shape[2]
         return (self._px - px).reshape(-1), J.reshape(-1, U), by_lens.reshape(-1, by_lens.shape[2])
 
+    def weigh(self, residual: FloatArray, J: FloatArray) -> None:
+        """Learn how much the places scatter against the corners: a place that is off shifts all its corners alike.
+
+        Source: maximum likelihood of the two variances of a mixed model, given the residuals.
+        """
+        from scipy.optimize import minimize_scalar
+
+        by_shift = [J[rows, 6:9] for rows in self._rows]
+        shifts = [
+            np.linalg.lstsq(B, residual[rows], rcond=None)[0] for B, rows in zip(by_shift, self._rows, strict=True)
+        ]
+        within = [residual[rows] - B @ s for B, s, rows in zip(by_shift, shifts, self._rows, strict=True)]
+        square_px2 = sum(float(e @ e) for e in within) / max(1, len(residual) - 3 * len(shifts) - 3)
+        if not square_px2 > _EXACT_PX2:
+            return
+        unit = np.array([np.linalg.inv(B.T @ B) for B in by_shift])
+        scaled = np.array(shifts) / np.sqrt(square_px2)
+
+        def unlikely(log_share: float) -> float:
+            C = unit + np.exp(2.0 * log_share) * np.eye(3)
+            asked = np.linalg.solve(C, scaled[:, :, None])[:, :, 0]
+            return float(np.linalg.slogdet(C)[1].sum() + np.sum(scaled * asked))
+
+        found = minimize_scalar(unlikely, bounds=(np.log(_TINIEST), np.log(_LARGEST)), method="bounded")
+        self._share_m_px = float(np.exp(found.x))
+
+    def normal(self, residual: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Normal matrices (V, U, U) and gradients (V, U) of each picture, weighed by corners and places."""
+        M = [self._times(J, J, rows) for rows in self._rows]
+        return np.array(M), np.array([self._times(J, residual, rows) for rows in self._rows])
+
+    def _times(self, J: FloatArray, other: FloatArray, rows: slice) -> FloatArray:
+        """``J^T W other`` of one picture, W the inverse covariance of its residuals in units of the corners'."""
+        own, B, X = J[rows], J[rows, 6:9], other[rows]
+        if self._share_m_px == 0.0:
+            return np.asarray(own.T @ X)
+        between = np.linalg.solve(B.T @ B + np.eye(3) / self._share_m_px**2, B.T @ X)
+        return np.asarray(own.T @ X - own.T @ B @ between)
+
     def result(
         self, state: tuple[FloatArray, FloatArray, FloatArray, FloatArray], calibration: Calibration, board_sigma: float
     ) -> AxisErrors:
         residual, J, by_lens = self.linearised(*state)
         V, U = len(self.positions_m), J.shape[1]
-        inverse = np.linalg.inv(J.T @ J)
-        # A place that is off shifts all its corners, so pictures are the independent things, not corners.
-        scores = np.zeros((V, U))
-        np.add.at(scores, np.repeat(self.view, 2), J * residual[:, None])
-        covariance = inverse @ (scores.T @ scores) @ inverse * (3.0 * V / (3.0 * V - U))
+        M, scores = self.normal(residual, J)
+        inverse = np.linalg.inv(M.sum(axis=0))
+        # Pictures are the independent things, not corners. Each counts with the residual it has when it is left out of
+        # the fit, or the far ends would look too good.
+        left_out = np.array([np.linalg.solve(np.eye(U) - m @ inverse, g) for m, g in zip(M, scores, strict=True)])
+        covariance = inverse @ (left_out.T @ left_out) @ inverse
         if calibration.covariance is not None:
-            K = inverse @ J.T @ by_lens
+            K = inverse @ np.sum([self._times(J, by_lens, rows) for rows in self._rows], axis=0)
             covariance = covariance + K @ calibration.covariance @ K.T
         covariance = np.array(covariance[9:, 9:])
         L = self.axis_count

@@ -60,6 +60,7 @@ def characterise(
         float, typer.Option(min=0.01, help="Way to and fro of the reversal test; over twice the backlash.")
     ] = 0.8,
     grid: Annotated[str, typer.Option(help="Places per axis for scale and squareness.")] = "4x4x3",
+    captures: Annotated[int, typer.Option(min=1, help="Pictures averaged at each visit.")] = 8,
     margin_mm: Annotated[float, typer.Option(min=0.0, help="Distance kept from the ends of travel.")] = 20.0,
     settle_s: Annotated[float, typer.Option(min=0.0, help="Wait before each reading.")] = 0.2,
     camera: Annotated[Path | None, typer.Option(help="Camera calibration in place of the bench's.")] = None,
@@ -91,7 +92,7 @@ def characterise(
         raise ConfigError("name the judge: --board FILE for a camera, or --dial for a gauge")
     if readings is not None and not dial:
         raise ConfigError("readings are typed values of a dial gauge: add --dial", key="--readings")
-    options = _options(tests, axis, targets, runs, reversal_span_mm, grid, margin_mm, settle_s, is_dial=dial)
+    options = _options(tests, axis, targets, runs, reversal_span_mm, captures, grid, margin_mm, settle_s, is_dial=dial)
     with found(door) as setup:
         visits = plan_visits(setup.bench.envelope, options)
         if dry_run:
@@ -101,7 +102,7 @@ def characterise(
         if path.exists() and not force:
             raise ConfigError("exists already; replace it with --force", str(path))
         with (
-            _instrument(setup, board, camera, camera_source, readings, len(visits)) as (instrument, judge),
+            _instrument(setup, board, camera, camera_source, readings, len(visits), captures) as (instrument, judge),
             opened(setup) as gantry,
             progress_sink(quiet=quiet) as sink,
         ):
@@ -124,6 +125,7 @@ def _options(
     targets: int,
     runs: int,
     reversal_span_mm: float,
+    captures: int,
     grid: str,
     margin_mm: float,
     settle_s: float,
@@ -155,7 +157,8 @@ def _options(
         reversal_span_m=m_from_mm(reversal_span_mm),
         # A person reads fewer steps than a camera.
         reversal_steps=4 if is_dial else 8,
-        reversal_cycles=1 if is_dial else 2,
+        reversal_cycles=1 if is_dial else 4,
+        captures=captures,
         grid=counts,
         margin_m=m_from_mm(margin_mm),
         settle_s=settle_s,
@@ -164,7 +167,13 @@ def _options(
 
 @contextmanager
 def _instrument(
-    setup: Setup, board: Path | None, camera: Path | None, camera_source: str | None, readings: Path | None, count: int
+    setup: Setup,
+    board: Path | None,
+    camera: Path | None,
+    camera_source: str | None,
+    readings: Path | None,
+    count: int,
+    captures: int,
 ) -> Iterator[tuple[Instrument, Judge]]:
     from uvgs_bench.sessions.characterise import BoardCamera, DialGauge
     from uvgs_bench.sessions.judge_gantry import Judge
@@ -187,7 +196,7 @@ def _instrument(
     else:
         opened_camera = open_camera(source, clock=setup.clock)
     with opened_camera as live:
-        judge = BoardCamera(live, declared)
+        judge = BoardCamera(live, declared, captures)
         yield judge, Judge(judge.name, calibration, bench.mount)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -15,6 +15,7 @@ from uvgs_bench.devices.gantry.axes import Axis, Envelope
 from uvgs_bench.devices.gantry.gantry import Gantry
 from uvgs_bench.errors import CaptureError, ConfigError, EnvelopeError, GantryLost
 from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
 from uvgs_bench.sessions.interruption import check_interruption
 from uvgs_bench.units import m_from_mm, ns_from_s, s_from_ns
@@ -28,6 +29,7 @@ DIAL_TESTS: tuple[Test, ...] = ("positioning", "reversal", "homing")
 _UNEVEN = 0.382
 _OVERSHOOT_M = 1e-3
 _MOST_OLD = 100
+_FEWEST_CORNERS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +44,7 @@ class Options:
         reversal_span_m: Way to and fro of the reversal test, m; more than twice the backlash.
         reversal_steps: Steps on half of that way.
         reversal_cycles: How often to and fro.
+        captures: Pictures whose corners are averaged at each visit; a dial gauge is read once.
         grid: Places along each linear axis for scale and squareness; one that is missing takes the last.
         margin_m: Distance kept from the ends of travel, m.
         speed_mps: Speed of all moves, m/s; 0 is as fast as every axis may.
@@ -54,7 +57,8 @@ class Options:
     runs: int = 5
     reversal_span_m: float = 8e-4
     reversal_steps: int = 8
-    reversal_cycles: int = 2
+    reversal_cycles: int = 4
+    captures: int = 8
     grid: tuple[int, ...] = (4, 4, 3)
     margin_m: float = 0.02
     speed_mps: float = 0.0
@@ -63,6 +67,8 @@ class Options:
     def __post_init__(self) -> None:
         if self.targets < 2 or self.runs < 2 or self.reversal_steps < 2 or self.reversal_cycles < 1:
             raise ConfigError("a characterisation needs 2 targets, 2 runs, 2 reversal steps and a cycle or more")
+        if self.captures < 1:
+            raise ConfigError(f"a visit needs a capture or more, got {self.captures}")
         if not (self.reversal_span_m > 0.0 and self.margin_m >= 0.0 and self.settle_s >= 0.0 and self.speed_mps >= 0.0):
             raise ConfigError("spans must be positive; margin, settling and speed must not be negative")
 
@@ -127,23 +133,51 @@ class BoardCamera:
     Args:
         camera: The camera.
         board: The board.
+        captures: Pictures averaged at each visit.
     """
 
-    def __init__(self, camera: CameraSource, board: Board) -> None:
+    def __init__(self, camera: CameraSource, board: Board, captures: int = 1) -> None:
         self.name = f"camera {camera.spec} with board {board.name}"
         self._camera = camera
         self._board = board
+        self._captures = captures
 
     def read(self, visit: Visit, settled_ns: int) -> BoardView | float | None:
-        """The board in the first picture exposed after settling, None when it is not found. Raises CaptureError."""
+        """The board in pictures exposed after settling, None when one does not show it. Raises CaptureError."""
+        views: list[BoardView] = []
+        for _ in range(self._captures):
+            capture = self._fresh(settled_ns)
+            found = find_board(capture.image, self._board, capture.source)
+            if isinstance(found, BoardMiss):
+                return None
+            views.append(found)
+        return average_view(views)
+
+    def _fresh(self, settled_ns: int) -> Capture:
         for _ in range(_MOST_OLD):
             capture = self._camera.grab()
             if capture is None:
                 raise CaptureError("the camera ended in the middle of a characterisation", self._camera.spec)
             if capture.t_ns - ns_from_s(0.5 * (capture.exposure_s or 0.0)) >= settled_ns:
-                found = find_board(capture.image, self._board, capture.source)
-                return None if isinstance(found, BoardMiss) else found
+                return capture
         raise CaptureError("the camera delivers old pictures only; is it live?", self._camera.spec)
+
+
+def average_view(views: Sequence[BoardView]) -> BoardView | None:
+    """Corners averaged over pictures of a board at rest.
+
+    Args:
+        views: The pictures, one or more.
+
+    Returns:
+        The first, with the mean of every corner that all of them show; None when fewer than ``_FEWEST_CORNERS`` are.
+    """
+    places = [{tuple(point): px for point, px in zip(v.board_m, v.px, strict=True)} for v in views]
+    kept = [point for point in places[0] if all(point in each for each in places)]
+    if len(kept) < _FEWEST_CORNERS:
+        return None
+    px = np.mean([[each[point] for point in kept] for each in places], axis=0)
+    return replace(views[0], px=read_only(px), board_m=read_only(np.array(kept)))
 
 
 class DialGauge:

@@ -24,6 +24,8 @@ _PPM = 1e6
 _S_PER_H = 3600.0
 # A dead band that fills more of the way to and fro than this may be wider still.
 _WIDEST_SHARE = 0.6
+# Intervals of a dead band wider than this share of it, +-10 %, are said.
+_VAGUE_SHARE = 0.2
 # Of the repeatability, from which on the instrument hides the axis.
 _OWN_SHARE = 0.5
 _Fitted = TypeVar("_Fitted")
@@ -167,10 +169,11 @@ def _judged_axis(
                 backlash_low_mm=mm_from_m(band.low_m),
                 backlash_high_mm=mm_from_m(band.high_m),
             )
-            if band.high_m - band.low_m > band.width_m:
+            if band.high_m - band.low_m > _VAGUE_SHARE * band.width_m:
+                half_mm = mm_from_m(0.5 * (band.high_m - band.low_m))
                 remarks.append(
-                    f"dead band of {record.name}: the readings scatter too much to tell it well; along the view of the "
-                    "camera a dial gauge does better"
+                    f"dead band of {record.name}: known to +-{half_mm:.3f} mm only (95 %), for the readings scatter; "
+                    "along the view of a camera use a dial gauge"
                 )
     at = of("drift", True)
     if len(at) > 2:
