@@ -12,11 +12,14 @@ from uvgs_bench.accuracy.axis_calibration import axis_pairs, true_directions
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.devices.gantry.gantry import StampedPosition
 from uvgs_bench.errors import ConfigError
+from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.store.documents import SCHEMA_KEY, read_document, write_atomically
 from uvgs_bench.store.toml_text import toml_text
 from uvgs_bench.units import deg_from_rad, mm_from_m, rad_from_mrad
 
 _PPM = 1e-6
+# Step of a derivative of directions, 1 and rad.
+_SMALL = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +171,35 @@ def measured_axes(record: GantryRecord, axes: Sequence[Axis], path: str) -> tupl
     for i, vector in zip(linear, true, strict=True):
         out[i] = replace(axes[i], direction=vector, scale=float(np.linalg.norm(vector)))
     return tuple(out)
+
+
+def axis_term_covariance(record: GantryRecord) -> FloatArray | None:
+    """The record's doubt of scales and squarenesses, as doubt of the axis terms of a registration.
+
+    Axes may stand in any order and direction: what they do to the carriage is told in the axes of the gantry frame. A
+    turn of all of them together is left out, since a registration cannot miss it.
+
+    Args:
+        record: What is known.
+
+    Returns:
+        Covariance of scales x, y, z and shears xy, xz, yz of ``accuracy.bench_terms``, shape (6, 6), 1 and rad; None
+        when scale and squareness were not measured.
+    """
+    L = len(record.axes)
+    count = L + len(axis_pairs(L))
+    covariance = np.array(record.covariance)
+    if covariance.shape != (count, count):
+        return None
+    directions = np.array([axis.direction for axis in record.axes])
+    across = np.linalg.pinv(directions.T)
+    by_error = np.zeros((6, count))
+    for k in range(count):
+        errors = np.zeros(count)
+        errors[k] = _SMALL
+        A = (true_directions(directions, errors[:L], errors[L:]) - directions).T @ across / _SMALL
+        by_error[:, k] = [A[0, 0], A[1, 1], A[2, 2], A[0, 1] + A[1, 0], A[0, 2] + A[2, 0], A[1, 2] + A[2, 1]]
+    return read_only(by_error @ covariance @ by_error.T)
 
 
 def write_positions(path: Path, axes: Sequence[Axis], positions: Sequence[StampedPosition], *, force: bool) -> None:

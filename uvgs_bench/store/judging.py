@@ -10,16 +10,13 @@ import numpy as np
 from uvgs_bench.accuracy import Judgement, judge
 from uvgs_bench.accuracy.judgement import Alert
 from uvgs_bench.accuracy.uncertainty import BudgetInputs
-from uvgs_bench.store.gantry_records import read_gantry_record
+from uvgs_bench.store.gantry_records import axis_term_covariance, read_gantry_record
 from uvgs_bench.store.observations import observations_from_run
 from uvgs_bench.store.run_writer import SETUP, SETUP_GANTRY
 from uvgs_bench.units import mm_from_m
 
 if TYPE_CHECKING:
     from uvgs_bench.store.run_types import Run
-
-# Axes that lean by more than this from the gantry's own have other scales than those of the record.
-_CROOKED = 0.02
 
 
 def judge_run(run: Run, *, seed: int | None = None) -> Judgement:
@@ -56,13 +53,8 @@ def judge_run(run: Run, *, seed: int | None = None) -> Judgement:
 
 def _budget_inputs(run: Run) -> BudgetInputs:
     """What the run's own copies of its set-up say about lens, beacon and axes."""
-    axes = None
-    linear = [axis for axis in run.manifest.axes if axis.kind == "linear"]
-    is_usual = len(linear) == 3 and np.allclose([axis.direction for axis in linear], np.eye(3), atol=_CROOKED)
     record_file = run.path / SETUP / SETUP_GANTRY
-    if is_usual and record_file.is_file():
-        covariance = np.array(read_gantry_record(record_file).covariance)
-        axes = covariance if covariance.shape == (6, 6) else None
+    axes = axis_term_covariance(read_gantry_record(record_file)) if record_file.is_file() else None
     return BudgetInputs(
         lens=run.calibration.lens,
         lens_covariance=run.calibration.covariance,

@@ -15,6 +15,7 @@ from uvgs_bench.store.gantry_records import (
     AxisRecord,
     GantryRecord,
     PairRecord,
+    axis_term_covariance,
     measured_axes,
     read_gantry_record,
     write_gantry_record,
@@ -87,3 +88,25 @@ def test_a_bench_file_names_it(tmp_path: Path) -> None:
     assert bench.judged_by == RECORD.judged_by
     assert bench.envelope.axes[0].scale == pytest.approx(1.001)
     assert bench.nominal_axes[0].scale == 1.0
+
+
+def covariance_of(directions: list[tuple[float, float, float]], covariance: np.ndarray) -> np.ndarray | None:
+    axes = tuple(AxisRecord(name, d) for name, d in zip("XYZ", directions, strict=False))
+    rows = tuple(tuple(float(v) for v in row) for row in covariance)
+    return axis_term_covariance(GantryRecord("bench", "", "", axes, covariance=rows))
+
+
+def test_doubts_of_axes_become_doubts_of_terms() -> None:
+    each = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e-8
+    usual = covariance_of([UNIT[n] for n in "XYZ"], each)
+    assert usual is not None
+    # Of the second order in the step of the derivative.
+    np.testing.assert_allclose(usual, each, atol=1e-13)
+    # X points along gantry y and Y along gantry -x: scales change places, a lean of either towards the other is one.
+    swapped = covariance_of([UNIT["Y"], (-1.0, 0.0, 0.0), UNIT["Z"]], each)
+    assert swapped is not None
+    np.testing.assert_allclose(np.diag(swapped), np.array([2.0, 1.0, 3.0, 4.0, 6.0, 5.0]) * 1e-8, atol=1e-13)
+    two = covariance_of([UNIT["X"], UNIT["Z"]], np.diag([1.0, 2.0, 3.0]) * 1e-8)
+    assert two is not None
+    np.testing.assert_allclose(np.diag(two), np.array([1.0, 0.0, 2.0, 0.0, 3.0, 0.0]) * 1e-8, atol=1e-13)
+    assert covariance_of([UNIT[n] for n in "XYZ"], np.zeros((0, 0))) is None

@@ -13,11 +13,14 @@ import pytest
 
 from tests.helpers.synthetic_run import CAMERA_FROM_GANTRY, synthetic_run, write_run
 from uvgs_bench.accuracy import Limit
+from uvgs_bench.accuracy.budget_lines import BudgetLine
 from uvgs_bench.cli import app
 from uvgs_bench.geometry import Pose
+from uvgs_bench.store.gantry_records import AxisRecord, GantryRecord, PairRecord, write_gantry_record
 from uvgs_bench.store.judging import judge_run
 from uvgs_bench.store.observations import observations_from_run
-from uvgs_bench.store.run import read_run
+from uvgs_bench.store.run import Run, read_run
+from uvgs_bench.store.run_writer import SETUP_GANTRY
 
 
 @pytest.fixture
@@ -68,6 +71,33 @@ def test_the_mount_as_built_decides_what_a_sweep_without_rotations_cannot_see(tm
     # Three translations slide freely to where they were said to be; what was seen stays.
     np.testing.assert_allclose(registration.right.t_m, built.t_m, atol=1e-9)
     assert registration.right.is_close(Pose(plain.right.R, built.t_m, "carriage", "beacon"), 1e-9, 1e-9)
+
+
+def test_the_doubt_of_a_characterised_gantry_is_a_line_of_the_budget(tmp_path: Path) -> None:
+    run = synthetic_run()
+    line = _axis_line(run)
+    assert (line.is_known, line.position_m) == (False, 0.0)
+    folder = write_run(run, tmp_path / "20260102T030405Z_synthetic")
+    axes = tuple(
+        AxisRecord(axis.name, tuple(float(v) for v in axis.direction), scale_ppm=0.0, scale_sigma_ppm=1000.0)
+        for axis in run.manifest.axes
+    )
+    pairs = tuple(PairRecord(pair, 0.0, 1.0) for pair in (("X", "Y"), ("X", "Z"), ("Y", "Z")))
+    covariance = tuple(tuple(1e-6 * float(i == j) for j in range(6)) for i in range(6))
+    (folder / "setup").mkdir(exist_ok=True)
+    record = GantryRecord("bench", "2026-01-01T00:00:00.000Z", "camera with board b", axes, pairs, covariance)
+    write_gantry_record(folder / "setup" / SETUP_GANTRY, record)
+    line = _axis_line(read_run(folder))
+    assert line.is_known
+    assert line.part == "reference"
+    # 1e-3 in each of six terms: per station the arms are at most 0.35 m, and the registration takes up the mean.
+    assert 1e-5 < line.position_m < 6.0**0.5 * 0.35e-3
+
+
+def _axis_line(run: Run) -> BudgetLine:
+    budget = judge_run(run).budget
+    assert budget is not None
+    return next(line for line in budget.lines if line.name == "axis scale and squareness")
 
 
 def test_register_command_prints_and_writes(
