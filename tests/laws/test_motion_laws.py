@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uvgs_bench.devices.sim.grbl_motion import path_limits, run_into, trapezoid
+from uvgs_bench.devices.sim.grbl_motion import path_limits, run_into, through, trapezoid
 
 POINT = st.tuples(*[st.floats(-500.0, 500.0)] * 3).map(np.array)
 LIMITS = st.tuples(*[st.floats(1.0, 100.0)] * 3).map(np.array)
@@ -71,3 +71,24 @@ def test_no_path_takes_no_time() -> None:
     motion = trapezoid(np.ones(3), np.ones(3), 2.0, 5.0, *path_limits(np.zeros(3), np.ones(3), np.ones(3))[1:])
     assert motion.end_s == 2.0
     np.testing.assert_array_equal(motion.velocity(2.0), 0.0)
+
+
+@given(POINT, POINT, st.floats(0.0, 50.0), st.floats(0.0, 50.0), st.floats(50.0, 100.0), st.floats(10.0, 500.0))
+def test_a_motion_handed_over_keeps_speeds_and_its_end(start, end, entry, leaving, speed, acceleration) -> None:
+    length = float(np.linalg.norm(end - start))
+    motion = through(start, end, 2.0, entry, leaving, speed, acceleration)
+    np.testing.assert_array_equal(motion.position(motion.end_s), end)
+    if length == 0.0:
+        return
+    times = np.linspace(2.0, motion.end_s - 1e-12, 101)
+    speeds = np.array([motion.along_path(t)[1] for t in times])
+    assert np.all(np.abs(np.diff(speeds)) <= acceleration * (times[1] - times[0]) * (1 + 1e-6) + 1e-6)
+    assert speeds.max() <= speed * (1 + 1e-9) + TIGHT
+    reach = np.sqrt(entry**2 + 2.0 * acceleration * length)
+    at_least = np.sqrt(max(entry**2 - 2.0 * acceleration * length, 0.0))
+    np.testing.assert_allclose(motion.exit_speed, max(min(leaving, reach), at_least), rtol=1e-6, atol=1e-5)
+    # Near the end the speed is that of the hand-over: 1e-12 s before it.
+    np.testing.assert_allclose(speeds[-1], motion.exit_speed, rtol=1e-6, atol=2e-5)
+    changed = motion.going_on(0.5 * (2.0 + motion.end_s), speed, 0.0)
+    np.testing.assert_array_equal(changed.position(changed.end_s), end)
+    assert changed.end_s >= motion.end_s - 1e-9

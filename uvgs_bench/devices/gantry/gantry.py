@@ -82,6 +82,28 @@ class StampedPosition:
         return cls((asked_ns + heard_ns) // 2, (heard_ns - asked_ns + 1) // 2, position)
 
 
+class MotionStream(Protocol):
+    """A motion under way that is told piece by piece."""
+
+    @property
+    def end(self) -> FloatArray:
+        """Where the motion that was told ends, shape (A,), m or rad."""
+        ...
+
+    def order(self, position: FloatArray, speed: float) -> None:
+        """Tell one more straight piece, to machine axis positions, at a speed as for ``Gantry.move_to``.
+
+        Raises:
+            EnvelopeError: It leaves the envelope; nothing was sent.
+            GantryError: Refused, alarm, lost, or no answer.
+        """
+        ...
+
+    def observe(self) -> tuple[StampedPosition, GantryState]:
+        """Ask where the carriage is now. Raises GantryError when it left the path, was broken off, or as ``state``."""
+        ...
+
+
 class Gantry(Protocol):
     """A gantry that is open."""
 
@@ -139,6 +161,14 @@ class Gantry(Protocol):
 
     def recording(self) -> AbstractContextManager[list[StampedPosition]]:
         """Within this, every position the controller reports is kept with its time, in the list that is given."""
+        ...
+
+    def streaming(self) -> AbstractContextManager[MotionStream]:
+        """Move along a path that is told piece by piece; the end of the block waits until it is done.
+
+        Whatever leaves the block early stops the motion first. Raises GantryError: not homed, not at rest, or as
+        ``MotionStream``.
+        """
         ...
 
     def ask(self, line: str) -> list[str]:

@@ -19,21 +19,19 @@ from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
 from uvgs_bench.devices.gantry.controller_clock import Exchange, ask_clock
 from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, StampedPosition, WireLog
-from uvgs_bench.devices.gantry.grbl_arrival import LATE_S, WATCH_S, Way, await_arrival
+from uvgs_bench.devices.gantry.grbl_arrival import LATE_S, WATCH_S, Way, await_arrival, come_to_rest
 from uvgs_bench.devices.gantry.grbl_codes import MALFORMED
 from uvgs_bench.devices.gantry.grbl_identity import identify
 from uvgs_bench.devices.gantry.grbl_link import GrblLink
 from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings
+from uvgs_bench.devices.gantry.grbl_stream import GrblStream, StreamDoor
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
 from uvgs_bench.errors import ConfigError, GantryError, GantryLost, GantryRefused, GantryTimeout
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import ns_from_s
 
 _REPLY_S = 5.0
-_POLL_S = 0.1
 _RECORD_S = 0.02
-_REPLY_GRACE_S = 0.2
-_STOP_S = 10.0
 _NEVER = -1
 _BARRIER = "G4P0.01"
 
@@ -145,10 +143,11 @@ class GrblGantry:
         return self._ask_state()
 
     def home(self) -> GantryState:
-        """Run the homing cycle and wait for its end; nothing is sent meanwhile, since homing starves it.
+        """Run the homing cycle of all axes and wait for its end; nothing is sent meanwhile, since homing starves it.
 
         Raises:
             GantryRefused: Homing is off in the controller, or it is busy.
+            GantryError: The controller would accelerate or home faster than the bench file allows.
             GantryAlarm: The cycle failed.
             GantryTimeout: It did not end in time; the controller was reset.
             GantryLost: The port vanished or the controller restarted.
@@ -158,6 +157,7 @@ class GrblGantry:
             raise GantryRefused(
                 "homing is switched off in the controller ($22=0): its position cannot be known", self.port, 5, "$H"
             )
+        self._check_limits()
         self._homed_epoch = _NEVER
         self._is_homing = self._may_move = True
         try:
@@ -204,6 +204,7 @@ class GrblGantry:
         self._envelope.check_point(position)
         if not self._is_homed:
             raise GantryError("not homed: the position is unknown, so no move is made", self.port)
+        self._check_limits()
         start = self._state_at_rest()
         if not start.is_trusted:
             raise GantryError(f"the controller is in state {start.activity}; a move starts at rest", self.port)
@@ -259,7 +260,7 @@ class GrblGantry:
             self._is_homing = self._may_move = False
             return self._ask_state()
         self._wire.send_byte(protocol.JOG_CANCEL)
-        state = self._come_to_rest()
+        state = come_to_rest(self._link, self._clock, self._ask_state)
         if state.activity == "Hold" or self._link.line_under_way:
             # At rest a reset keeps the position; it clears a held move, and a line that was cut in two.
             is_homed = self._is_homed
@@ -281,6 +282,30 @@ class GrblGantry:
             yield self._recorded
         finally:
             self._recorded = None
+
+    @contextmanager
+    def streaming(self) -> Iterator[GrblStream]:
+        """Move along a path that is told piece by piece; its end is awaited, and leaving early stops the motion first.
+
+        Raises:
+            GantryError: Not homed or not at rest, or as ``GrblStream``.
+        """
+        self._check_open()
+        start = self._state_at_rest()
+        if not start.is_trusted:
+            raise GantryError(f"a motion starts homed and at rest; the state is {start.activity}", self.port)
+        door = StreamDoor(
+            self._settings, self._envelope, self._link, self._clock, self._order, self._ask_state, self._brake
+        )
+        self._may_move, self._last_state = True, None
+        try:
+            stream = GrblStream(door, start.position)
+            yield stream
+            stream.finish()
+        except BaseException:
+            self._stop_quietly()
+            raise
+        self._may_move = False
 
     def exchange(self) -> Exchange | None:
         """Ask the controller's own clock what time it is; None where it has none. Raises GantryTimeout, GantryLost."""
@@ -320,13 +345,7 @@ class GrblGantry:
         if not self._is_open:
             return
         try:
-            if self._may_move and not self._wire.is_lost:
-                self.stop()
-        except GantryError as error:
-            self._wire.remark(f"while closing: {error}")
-        except BaseException:
-            self._wire.send_byte(protocol.RESET)
-            raise
+            self._stop_quietly()
         finally:
             self._is_open = False
             self._wire.close()
@@ -340,6 +359,17 @@ class GrblGantry:
     ) -> None:
         """Close."""
         self.close()
+
+    def _stop_quietly(self) -> None:
+        """Stop what may move; a failure is only remarked, and an interruption meanwhile stops it hard."""
+        try:
+            if self._may_move and not self._wire.is_lost:
+                self.stop()
+        except GantryError as error:
+            self._wire.remark(f"while stopping: {error}")
+        except BaseException:
+            self._wire.send_byte(protocol.RESET)
+            raise
 
     # --- start -----------------------------------------------------------------------------------------------------
 
@@ -396,26 +426,6 @@ class GrblGantry:
             self._wire.remark("refused for how it reads, so damaged on the way: said again")
             self._link.command(line, _REPLY_S)
 
-    def _come_to_rest(self) -> GantryState:
-        deadline_ns = self._clock.now_ns() + ns_from_s(_STOP_S)
-        while True:
-            state = self._ask_state()
-            if state.activity == "Jog":
-                self._wire.send_byte(protocol.JOG_CANCEL)
-            elif state.activity == "Run":
-                self._wire.send_byte(protocol.HOLD)
-            elif not (state.activity == "Hold" and state.details.get("substate") == "1"):
-                # At rest; a line still under way may yet begin to move, so its reply is waited for.
-                if not self._link.line_under_way:
-                    return state
-                self._link.listen(_REPLY_GRACE_S)
-                again = self._ask_state()
-                if again.activity not in ("Jog", "Run"):
-                    return again
-            if self._clock.now_ns() > deadline_ns:
-                raise GantryTimeout(f"not at rest {_STOP_S:g} s after the stop", self.port)
-            self._link.listen(0.5 * _POLL_S)
-
     def _brake(self) -> None:
         """Tell the motion to stop, whatever it is, without waiting for anything."""
         try:
@@ -423,6 +433,10 @@ class GrblGantry:
             self._wire.send_byte(protocol.HOLD)
         except GantryLost as error:
             self._wire.remark(f"cannot brake: {error}")
+
+    def _check_limits(self) -> None:
+        if self._settings.excess:
+            raise GantryError("; ".join(self._settings.excess), self.port)
 
     def _check_open(self) -> None:
         if not self._is_open:

@@ -21,6 +21,8 @@ WATCH_S = 0.25
 
 LATE_S = 5.0
 _POLL_S = 0.1
+_STOP_S = 10.0
+_REPLY_GRACE_S = 0.2
 _MARGIN_S = 0.001
 _SETTLED_ELSEWHERE_S = 0.5
 # Beside the path by this much, mm or deg, something is wrong; less is seen at the end anyway.
@@ -127,3 +129,39 @@ def await_arrival(
             raise GantryError(f"the move was broken off: the controller is in state {state.activity}", way.port)
         if state.t_ns > deadline_ns:
             raise GantryTimeout(f"not arrived {LATE_S:g} s after the expected time", way.port)
+
+
+def come_to_rest(link: GrblLink, clock: Clock, ask_state: Callable[[], GantryState]) -> GantryState:
+    """Tell whatever moves to stop, until it stands.
+
+    Args:
+        link: The conversation.
+        clock: Bench time.
+        ask_state: Asks the controller where it is.
+
+    Returns:
+        The state at rest.
+
+    Raises:
+        GantryTimeout: It does not come to rest.
+        GantryAlarm: An alarm came.
+        GantryLost: The port vanished or the controller restarted.
+    """
+    deadline_ns = clock.now_ns() + ns_from_s(_STOP_S)
+    while True:
+        state = ask_state()
+        if state.activity == "Jog":
+            link.wire.send_byte(protocol.JOG_CANCEL)
+        elif state.activity == "Run":
+            link.wire.send_byte(protocol.HOLD)
+        elif not (state.activity == "Hold" and state.details.get("substate") == "1"):
+            # At rest; a line still under way may yet begin to move, so its reply is waited for.
+            if not link.line_under_way:
+                return state
+            link.listen(_REPLY_GRACE_S)
+            again = ask_state()
+            if again.activity not in ("Jog", "Run"):
+                return again
+        if clock.now_ns() > deadline_ns:
+            raise GantryTimeout(f"not at rest {_STOP_S:g} s after the stop", link.port)
+        link.listen(0.5 * _POLL_S)

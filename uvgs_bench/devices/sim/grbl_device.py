@@ -2,8 +2,8 @@
 
 It has no thread and no clock: the caller says what time it is, and time never runs backwards. The firmware's main loop
 is a generator that yields until when it sleeps; real-time bytes act at once, whatever the main loop does. Simplified
-against the real one: motions stop between blocks; switches close without bounce; hard limits, overrides, the door,
-probing, startup lines and work offsets are absent.
+against the real one: switches close without bounce; hard limits, overrides, the door, probing, startup lines and work
+offsets are absent.
 """
 
 from __future__ import annotations

@@ -20,18 +20,22 @@ class Motors:
     def __init__(self, start: FloatArray) -> None:
         self.moving: Motion | None = None
         self._motions: list[Motion] = [trapezoid(start, start, 0.0, 1.0, 1.0)]
+        # How many rests there were before each motion, the one it begins from not counted.
+        self._rests: list[int] = [-1]
         self._dropped = 0
 
     def begin(self, motion: Motion) -> None:
         """Start a motion where the last one ended."""
         self.moving = motion
+        self._rests.append(self._rests[-1] + (self._motions[-1].exit_speed == 0.0))
         self._motions.append(motion)
         if len(self._motions) > 2 * _KEPT_MOTIONS:
             del self._motions[:_KEPT_MOTIONS]
+            del self._rests[:_KEPT_MOTIONS]
             self._dropped += _KEPT_MOTIONS
 
     def amend(self, motion: Motion) -> None:
-        """Replace the motion under way, which was braked."""
+        """Replace the motion under way, which was braked or planned anew."""
         self._motions[-1] = motion
         self.moving = motion
 
@@ -62,9 +66,10 @@ class Motors:
         return self._motions[max(0, number - self._dropped)].start
 
     def stops_count(self, t_s: float) -> int:
-        """How many motions have ended by an instant."""
+        """How many times the motors have come to rest by an instant."""
         index = self._index(t_s)
-        return self._dropped + index - (0 if t_s >= self._motions[index].end_s else 1)
+        motion = self._motions[index]
+        return self._rests[index] + (t_s >= motion.end_s and motion.exit_speed == 0.0)
 
     def _index(self, t_s: float) -> int:
         return max(0, bisect_right(self._motions, t_s, key=lambda motion: motion.start_s) - 1)
