@@ -58,6 +58,8 @@ def small_bench(folder: Path) -> Path:
     text = re.sub(
         r"(\[simulated\.camera_from_gantry\][^\n]*\nposition_mm = )\[.*?\]", rf"\1[{x:.4f}, {y:.4f}, {z:.4f}]", text
     )
+    # What the controller is set to below.
+    text = text.replace("acceleration_mm_s2 = 200.0", "acceleration_mm_s2 = 500.0")
     for kind in ("cameras", "beacons"):
         text = text.replace(f'"{kind}/', f'"{ROOT / "calib" / kind}/')
     path = folder / "bench.toml"

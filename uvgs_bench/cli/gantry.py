@@ -53,7 +53,7 @@ def status(door: Door) -> None:
 @app.command()
 @with_door
 def home(door: Door) -> None:
-    """Run the homing cycle. Ctrl-C stops it."""
+    """Home all axes ($H; there is no homing of one axis alone). Ctrl-C stops it."""
     with found(door) as setup, opened(setup) as gantry:
         print_state(gantry, _home(gantry), door.as_json)
 

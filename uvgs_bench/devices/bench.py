@@ -32,12 +32,12 @@ class AxisFile:
         min_mm: Smallest machine position, mm.
         max_mm: Largest machine position, mm.
         max_feed_mm_min: Largest feed, mm/min.
-        acceleration_mm_s2: Acceleration, mm/s^2.
+        acceleration_mm_s2: Largest acceleration the controller may be set to, mm/s^2.
         backlash_mm: Known reversal, mm.
         min_deg: Smallest machine position, deg.
         max_deg: Largest machine position, deg.
         max_feed_deg_min: Largest feed, deg/min.
-        acceleration_deg_s2: Acceleration, deg/s^2.
+        acceleration_deg_s2: Largest acceleration, deg/s^2.
         backlash_deg: Known reversal, deg.
     """
 

@@ -163,6 +163,37 @@ def test_settings_that_would_make_positions_wrong(
 
 @pytest.mark.parametrize(
     ("settings", "expected"),
+    [
+        ({121: 250.0}, r"axis Y accelerates with \$121=250 mm/s\^2, the bench file allows 200: .* settings 121=200"),
+        ({25: 4000.0, 110: 4000.0}, r"axis X homes with \$25=4000 mm/min, the bench file allows 3000"),
+    ],
+)
+def test_a_controller_that_moves_harder_than_the_bench_file_allows_does_not_move(
+    monkeypatch: pytest.MonkeyPatch, settings: dict[int, float], expected: str
+) -> None:
+    device = GrblDevice.for_axes(linear_axes())
+    before = dict(device.settings)
+    device.settings.update(settings)
+    mock = MockGantry(monkeypatch, device)
+    with pytest.raises(GantryError, match=expected):
+        mock.gantry.home()
+    assert "$H" not in mock.spy.sent()
+    # It is open, so that it can be set right; also one that is homed already is looked at before a move.
+    for number in settings:
+        mock.gantry.ask(f"${number}={before[number]}")
+    mock.gantry.reread()
+    mock.gantry.home()
+    for number, value in settings.items():
+        mock.gantry.ask(f"${number}={value}")
+    mock.gantry.reread()
+    with pytest.raises(GantryError, match=expected):
+        mock.gantry.move_to([-0.1] * 3, FAST)
+    assert not mock.spy.moves()
+    mock.gantry.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
     [(b"$100=400\r\n$102=400\r\n", r"axis Y: .* no steps per unit \(\$101\)"), (b"", "tells no settings")],
 )
 def test_settings_that_are_missing(monkeypatch: pytest.MonkeyPatch, settings: bytes, expected: str) -> None:

@@ -30,7 +30,7 @@ class Axis:
         lower: Smallest allowed machine position.
         upper: Largest allowed machine position.
         max_speed: Largest speed.
-        acceleration: Acceleration, for time estimates.
+        acceleration: Largest acceleration.
         backlash: Known reversal, >= 0; the approach overshoots by more than this.
         scale: True travel per reported travel, > 0, as measured; 1 is as declared.
     """

@@ -14,6 +14,8 @@ from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.units import S_PER_MIN, deg_from_rad, m_from_mm, mm_from_m, rad_from_deg
 
 _CORRUPT = 255.0
+# A controller keeps its settings with three decimals.
+_ROUNDED = 1.001
 # Steps per mm or deg of a belt drive, for controllers that do not tell: arrival is judged by half a step.
 _COARSE_STEPS = 80.0
 
@@ -26,11 +28,13 @@ class ControllerSettings:
         steps: Steps per mm or deg, shape (A,).
         has_homing: Whether the homing cycle is switched on.
         axes: The axes, no faster than both the bench and the controller allow, with the controller's acceleration.
+        excess: Where the controller would move with more than the bench file allows, one line each; then nothing moves.
     """
 
     steps: FloatArray
     has_homing: bool
     axes: tuple[Axis, ...]
+    excess: tuple[str, ...] = ()
 
 
 def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str, dialect: Dialect) -> ControllerSettings:
@@ -71,7 +75,8 @@ def read_settings(settings: Mapping[str, str], axes: Sequence[Axis], port: str, 
                 port,
             )
     paced = tuple(_paced(axis, values.get(110 + i, 0.0), values.get(120 + i, 0.0)) for i, axis in enumerate(axes))
-    return ControllerSettings(read_only(steps), bool(values.get(22, 0.0 if dialect.lists_settings else 1.0)), paced)
+    has_homing = bool(values.get(22, 0.0 if dialect.lists_settings else 1.0))
+    return ControllerSettings(read_only(steps), has_homing, paced, _excess(values, axes))
 
 
 def settings_warnings(settings: Mapping[str, str], axes: Sequence[Axis]) -> tuple[str, ...]:
@@ -92,15 +97,32 @@ def settings_warnings(settings: Mapping[str, str], axes: Sequence[Axis]) -> tupl
         warnings.append(f"motors are released {values[1]:g} ms after a move ($1): use $1=255 to hold the position")
     if values.get(32):
         warnings.append("laser mode is on ($32=1): lights go out at a hold")
+    warnings += _excess(values, axes)
     for i, axis in enumerate(axes):
-        allowed = mm_from_m(axis.acceleration) if axis.kind == "linear" else deg_from_rad(axis.acceleration)
-        if values.get(120 + i, 0.0) > allowed * 1.001:
-            warnings.append(
-                f"axis {axis.name} accelerates with ${120 + i}={values[120 + i]:g}, the bench file allows {allowed:g}"
-            )
         if values.get(130 + i) == 0.0 and axis.kind == "linear":
             warnings.append(f"axis {axis.name} has no travel (${130 + i}=0), so no soft limit")
     return tuple(warnings)
+
+
+def _excess(values: Mapping[int, float], axes: Sequence[Axis]) -> tuple[str, ...]:
+    """What a line of G-code cannot limit: the acceleration of every move, and the speed of homing."""
+    found = []
+    for i, axis in enumerate(axes):
+        convert, unit = (mm_from_m, "mm") if axis.kind == "linear" else (deg_from_rad, "deg")
+        allowed, feed = convert(axis.acceleration), convert(axis.max_speed) * S_PER_MIN
+        if values.get(120 + i, 0.0) > allowed * _ROUNDED:
+            what = f"accelerates with ${120 + i}={values[120 + i]:g} {unit}/s^2"
+            found.append(_too_much(axis, what, allowed, 120 + i))
+        if min(values.get(25, 0.0), values.get(110 + i, 0.0)) > feed * _ROUNDED:
+            found.append(_too_much(axis, f"homes with $25={values[25]:g} {unit}/min", feed, 25))
+    return tuple(found)
+
+
+def _too_much(axis: Axis, what: str, allowed: float, number: int) -> str:
+    return (
+        f"axis {axis.name} {what}, the bench file allows {allowed:g}: set it with `uvgs gantry settings "
+        f"{number}={allowed:g}`, or allow more in the bench file"
+    )
 
 
 def _numbers(settings: Mapping[str, str]) -> dict[int, float]:
