@@ -19,7 +19,10 @@ _OUTPUT = "Output"
 
 def run(
     source: Annotated[
-        str, typer.Argument(help="images:DIR, video:FILE, uvc:0, sim:BENCH.toml?count=N, or a run folder.")
+        str,
+        typer.Argument(
+            help="images:DIR, video:FILE, bag:FILE, uvc:0, rtsp://..., sim:BENCH.toml?count=N, or a run folder."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Pose file: .csv (misses included), .tum or .jsonl.")],
     camera: Annotated[Path | None, typer.Option("--camera", help="Calibration; a run folder has its own.")] = None,
@@ -88,6 +91,14 @@ def run(
         float,
         typer.Option("--max-exposure-ms", min=0.0, help="Bound of --auto-exposure.", rich_help_panel=_LIGHT),
     ] = 20.0,
+    reconnect_s: Annotated[
+        float,
+        typer.Option(
+            "--reconnect-s",
+            min=0.0,
+            help="How long to wait for a live camera that was lost; 0 ends at the first loss.",
+        ),
+    ] = 60.0,
     timing: Annotated[
         bool, typer.Option("--timing", help="Show how long each stage took, as histograms.", rich_help_panel=_OUTPUT)
     ] = False,
@@ -104,7 +115,7 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Solve every capture and write its pose, or why there is none. Ctrl-C keeps what was written."""
-    from time import perf_counter
+    from time import monotonic_ns, perf_counter
 
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.cli.run_commands import standard_input_names
@@ -118,6 +129,7 @@ def run(
     from uvgs_bench.sessions.outlets import StreamSetup
     from uvgs_bench.sessions.stream import StreamRules, solve_source
     from uvgs_bench.sessions.tally import Tally
+    from uvgs_bench.units import s_from_ns
 
     is_interrupted = False
     with ExitStack() as stack:
@@ -125,12 +137,12 @@ def run(
         calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config)
         names = tuple(lights.name for lights in beacons)
         policy = handover_policy(handover, zone_m or [], hold_s, names, active)
-        captures, opened, total = open_captures(source, recorded, stack)
+        sink = stack.enter_context(progress_sink(quiet=quiet))
+        opened = open_captures(source, recorded, stack, sink, reconnect_s)
         sensors = {lights.name: Uvgs(calibration, lights, parameters, clock=perf_counter) for lights in beacons}
-        loop = exposure_loop(opened, source, sensors, max_exposure_ms) if auto_exposure else None
+        loop = exposure_loop(opened.exposure, source, sensors, max_exposure_ms) if auto_exposure else None
         setup = StreamSetup(source, calibration, tuple(beacons), parameters, sensors)
         outlets = open_outlets(stack, setup, out=out, debug_images=debug_images, force=force)
-        sink = stack.enter_context(progress_sink(quiet=quiet))
         stack.enter_context(interruptible())
         sink(Remark("info", "loading compiled kernels"))
         tally = Tally(names)
@@ -141,8 +153,20 @@ def run(
                 uvgs.warm_up()
             # What is loaded now stays: a collection that walks through it takes 25 ms out of some capture.
             gc.freeze()
-            stream = solve_source(captures, sensors, sink, rules, total=total, exposure=loop, command=command)
+            stream = solve_source(
+                opened.captures,
+                sensors,
+                sink,
+                rules,
+                total=opened.total,
+                exposure=loop,
+                command=command,
+                flags_of=None if opened.live is None else opened.live.flags_of,
+                is_live=opened.live is not None,
+            )
             for answered in stream:
+                if opened.live is not None:
+                    tally.add_latency(s_from_ns(monotonic_ns() - answered.capture.t_ns))
                 for outlet in outlets:
                     outlet.put(answered)
                 for name, (outcome, note) in answered.lines.items():
@@ -151,8 +175,10 @@ def run(
                 tally.exposure_changes += any(note.next_exposure_s for _, note in answered.lines.values())
         except KeyboardInterrupt:
             is_interrupted = True
+    if opened.live is not None:
+        tally.dropped, tally.gaps_s = opened.live.dropped, tuple(opened.live.gaps_s)
     paths = [path for outlet in outlets for path in outlet.paths]
-    show_summary(tally, paths, timing=timing, as_json=as_json, is_interrupted=is_interrupted)
+    show_summary(tally, paths, timing=timing or opened.live is not None, as_json=as_json, is_interrupted=is_interrupted)
     if is_interrupted:
         raise typer.Exit(int(ExitCode.INTERRUPTED))
     code = ExitCode.DONE if tally.poses else ExitCode.INCONCLUSIVE if tally.captures else ExitCode.INPUT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,11 +13,13 @@ from uvgs_bench.errors import ConfigError, RunError
 if TYPE_CHECKING:
     from uvgs_bench.beacon import Beacon
     from uvgs_bench.camera.calibration import Calibration
-    from uvgs_bench.devices.cameras.source import CameraSource
+    from uvgs_bench.devices.cameras.live_queue import LiveQueue
+    from uvgs_bench.devices.cameras.source import ExposureControl
     from uvgs_bench.sensor.capture import Capture
     from uvgs_bench.sensor.config import UvgsConfig
     from uvgs_bench.sensor.handover import HandoverPolicy
     from uvgs_bench.sensor.uvgs import Uvgs
+    from uvgs_bench.sessions.events import EventSink
     from uvgs_bench.sessions.exposure_loop import ExposureLoop
     from uvgs_bench.store.run import Run
 
@@ -141,18 +144,37 @@ def handover_policy(
         raise ConfigError(str(error), "--zone-m") from None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedSource:
+    """The source of a stream.
+
+    Args:
+        captures: Its captures.
+        total: Their number if known.
+        exposure: The exposure of its camera, or None when it cannot be set.
+        live: The queue of a live camera, or None.
+    """
+
+    captures: Iterable[Capture]
+    total: int | None
+    exposure: ExposureControl | None = None
+    live: LiveQueue | None = None
+
+
 def open_captures(
-    source: str, recorded: Run | None, stack: ExitStack
-) -> tuple[Iterable[Capture], CameraSource | None, int | None]:
+    source: str, recorded: Run | None, stack: ExitStack, sink: EventSink, reconnect_s: float
+) -> OpenedSource:
     """Open the source.
 
     Args:
         source: What the user wrote.
         recorded: The run behind it, or None.
         stack: Closes it.
+        sink: Where settings that the camera did not take, and losses of it, are told.
+        reconnect_s: How long to wait for a live camera that was lost, s.
 
     Returns:
-        The captures, the open camera (None for a run) and the number of captures if known.
+        The source.
 
     Raises:
         CaptureError: It cannot be opened.
@@ -161,20 +183,28 @@ def open_captures(
     if recorded is not None:
         from uvgs_bench.sessions.stream import read_run_captures, run_captures
 
-        return read_run_captures(recorded), None, len(run_captures(recorded))
+        return OpenedSource(read_run_captures(recorded), len(run_captures(recorded)))
     from uvgs_bench.devices.cameras.registry import open_camera
+    from uvgs_bench.devices.cameras.source import ExposureControl
 
-    opened = stack.enter_context(open_camera(source))
-    return opened, opened, opened.length
+    opened = open_camera(source)
+    if opened.is_live:
+        from uvgs_bench.sessions.live import queued
+
+        live = stack.enter_context(queued(opened, sink, patience_s=reconnect_s))
+        return OpenedSource(live, None, live.exposure, live)
+    stack.enter_context(opened)
+    control: object = opened
+    return OpenedSource(opened, opened.length, control if isinstance(control, ExposureControl) else None)
 
 
 def exposure_loop(
-    opened: CameraSource | None, source: str, sensors: dict[str, Uvgs], longest_ms: float
+    control: ExposureControl | None, source: str, sensors: dict[str, Uvgs], longest_ms: float
 ) -> ExposureLoop:
     """The exposure loop of a camera.
 
     Args:
-        opened: The open camera, or None.
+        control: The camera's exposure, or None.
         source: Its spec, for messages.
         sensors: One sensor per beacon.
         longest_ms: Longest exposure, ms.
@@ -185,13 +215,11 @@ def exposure_loop(
     Raises:
         ConfigError: The camera's exposure cannot be set, or the bound is impossible.
     """
-    from uvgs_bench.devices.cameras.source import ExposureControl
     from uvgs_bench.sensor.exposure import ExposurePolicy
     from uvgs_bench.sessions.exposure_loop import ExposureLoop
     from uvgs_bench.units import s_from_ms
 
-    control: object = opened
-    if not isinstance(control, ExposureControl):
+    if control is None:
         raise ConfigError("the exposure of this source cannot be set; leave --auto-exposure out", source)
     try:
         policy = ExposurePolicy(longest_s=s_from_ms(longest_ms))

@@ -59,6 +59,8 @@ def _as_object(tally: Tally, paths: Sequence[Path], timing: bool, is_interrupted
             for name, count in tally.beacons.items()
         },
         "exposure_changes": tally.exposure_changes,
+        "dropped": tally.dropped,
+        "gaps_s": list(tally.gaps_s),
         "median_stage_s": tally.median_stage_s(),
         "interrupted": is_interrupted,
         "out": str(paths[0]) if len(paths) == 1 else [str(path) for path in paths],
@@ -91,6 +93,10 @@ def _show(tally: Tally, timing: bool) -> None:
         if several:
             table.add_row(f"[bold]{name}[/]", f"active in {count.active}")
         _add_counts(table, count)
+    if tally.dropped:
+        table.add_row("[yellow]dropped[/]", f"{tally.dropped}, the sensor was busy")
+    if tally.gaps_s:
+        table.add_row("[yellow]camera lost[/]", ", ".join(f"{gap_s:.1f} s" for gap_s in tally.gaps_s))
     if tally.exposure_changes:
         table.add_row("exposure", f"changed {tally.exposure_changes} times")
     if not timing:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import pi, sqrt
+from typing import Literal
 
 import numpy as np
 
@@ -135,7 +136,6 @@ class SaturationModel:
         """
         rules = UvgsConfig() if config is None else config
         ceiling = 1.0 - self.background
-        ranges = np.geomspace(near_m, far_m, _SCAN)
 
         def clips(r: float) -> float:
             return self.height(r, exposure_s) - ceiling
@@ -158,15 +158,29 @@ class SaturationModel:
         )
         found = []
         for reason, text, excess in tests:
-            bad = np.array([excess(float(r)) > 0.0 for r in ranges])
-            if bad.all():
+            edges = _edges(excess, near_m, far_m)
+            if edges is None:
                 found.append(RangeLimit(reason, far_m, "nearer", f"{text} over all of {near_m:.2f} to {far_m:.2f} m"))
-            for i in np.flatnonzero(bad[1:] != bad[:-1]):
-                edge_m = _bisect(excess, float(ranges[i]), float(ranges[i + 1]))
-                side = "nearer" if bad[i] else "farther"
-                than = "nearer than" if bad[i] else "farther than"
-                found.append(RangeLimit(reason, edge_m, side, f"{text} {than} {edge_m:.2f} m"))
+            for edge_m, side in edges or ():
+                found.append(RangeLimit(reason, edge_m, side, f"{text} {side} than {edge_m:.2f} m"))
         return tuple(sorted(found, key=lambda limit: limit.range_m))
+
+    def clips_below_m(self, exposure_s: float, near_m: float, far_m: float) -> float | None:
+        """The range below which the core of an LED clips; quick enough for the loop of a live camera.
+
+        Args:
+            exposure_s: Exposure, s.
+            near_m: Nearest range of interest, m.
+            far_m: Farthest range of interest, m.
+
+        Returns:
+            The range, m; ``far_m`` when it clips everywhere, None when nowhere.
+        """
+        ceiling = 1.0 - self.background
+        edges = _edges(lambda r: self.height(r, exposure_s) - ceiling, near_m, far_m)
+        if edges is None:
+            return far_m
+        return next((edge_m for edge_m, side in edges if side == "nearer"), None)
 
     def _disc_px(self, range_m: float) -> float:
         return 0.5 * self.focal_px * self.diameter_m / range_m
@@ -227,6 +241,20 @@ def _outer_radius(radius: FloatArray, light: FloatArray, level: float) -> float:
         return float(radius[-1])
     share = (light[i] - level) / (light[i] - light[i + 1])
     return float(radius[i] + share * (radius[i + 1] - radius[i]))
+
+
+def _edges(
+    excess: Callable[[float], float], near_m: float, far_m: float
+) -> list[tuple[float, Literal["nearer", "farther"]]] | None:
+    """Ranges at which something begins or ends to be bad, and on which side it is; None when it is bad everywhere."""
+    ranges = np.geomspace(near_m, far_m, _SCAN)
+    bad = np.array([excess(float(r)) > 0.0 for r in ranges])
+    if bad.all():
+        return None
+    changes = np.flatnonzero(bad[1:] != bad[:-1])
+    return [
+        (_bisect(excess, float(ranges[i]), float(ranges[i + 1])), "nearer" if bad[i] else "farther") for i in changes
+    ]
 
 
 def _bisect(excess: Callable[[float], float], low: float, high: float) -> float:

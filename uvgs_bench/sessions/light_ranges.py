@@ -115,12 +115,11 @@ class ClipWatch:
         if model is None:
             return
         exposure_s = taken_s if capture.exposure_s is None or self._shortest_s is None else self._shortest_s
-        limits = range_limits(model, exposure_s, uvgs.beacon, uvgs.config)
-        clip = next((limit for limit in limits if limit.reason == "clips" and limit.side == "nearer"), None)
-        if clip is None:
+        clip_m = model.clips_below_m(exposure_s, uvgs.config.min_range_m, uvgs.config.max_range_m)
+        if clip_m is None:
             return
         at = "this exposure" if capture.exposure_s is None else f"{ms_from_s(exposure_s):.3g} ms"
-        text = f"{uvgs.beacon.name}: LED cores clip below about {clip.range_m:.2f} m at {at} (now {range_m:.2f} m)"
+        text = f"{uvgs.beacon.name}: LED cores clip below about {clip_m:.2f} m at {at} (now {range_m:.2f} m)"
         self._sink(Remark("warning", text))
 
 

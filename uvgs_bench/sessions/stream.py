@@ -19,6 +19,7 @@ from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFi
 from uvgs_bench.sessions.exposure_loop import ExposureLoop
 from uvgs_bench.sessions.interruption import check_interruption
 from uvgs_bench.sessions.light_ranges import ClipWatch
+from uvgs_bench.sessions.stream_health import StreamHealth
 from uvgs_bench.store.run import Run
 
 STAGE = "solve"
@@ -74,6 +75,8 @@ def solve_source(
     total: int | None = None,
     exposure: ExposureLoop | None = None,
     command: Callable[[], str | None] | None = None,
+    flags_of: Callable[[Capture], tuple[str, ...]] | None = None,
+    is_live: bool = False,
 ) -> Iterator[Answered]:
     """Solve captures for every beacon.
 
@@ -85,6 +88,8 @@ def solve_source(
         total: Number of captures if known.
         exposure: The exposure loop of the source's camera, or None.
         command: Asked before every capture for the beacon to use from now on; None means no change.
+        flags_of: What the source has to say about a capture, in flags of its lines.
+        is_live: Whether the captures are taken now.
 
     Yields:
         Each capture with its outcomes.
@@ -102,6 +107,7 @@ def solve_source(
     known = [n for n in (total, how.limit) if n is not None]
     sink(StageStarted(STAGE, min(known) if known else None))
     watch = ClipWatch(sensors, sink, None if exposure is None else exposure.policy.shortest_s)
+    health = StreamHealth(sink, is_live=is_live)
     state, wanted = HandoverState(), how.active
     priors: dict[str, PoseEstimate] = {}
     count = poses = 0
@@ -115,6 +121,7 @@ def solve_source(
             if how.track:
                 priors = {name: outcome for name, outcome in outcomes.items() if isinstance(outcome, PoseEstimate)}
             watch.look(capture, outcomes)
+            flags = (*health.look(capture, outcomes), *(() if flags_of is None else flags_of(capture)))
             advice = None if exposure is None else exposure.after(capture, outcomes)
             wanted = _command(command, sensors, sink) or wanted
             handed = hand_over(outcomes, state, how.handover, capture.t_ns, wanted)
@@ -126,7 +133,7 @@ def solve_source(
                 is_active = len(sensors) == 1 or name == handed.active
                 held = handed.answer if is_active and isinstance(handed.answer, Held) else None
                 switched = handed.switched if is_active and len(sensors) > 1 else ""
-                note = _note(capture, outcome, sensors[name], is_active, switched, advice)
+                note = _note(capture, outcome, sensors[name], is_active, switched, advice, flags)
                 lines[name] = (outcome if held is None else held, note)
             count += 1
             poses += any(isinstance(outcome, PoseEstimate) for outcome in outcomes.values())
@@ -176,8 +183,9 @@ def _note(
     is_active: bool,
     switched: str,
     advice: ExposureAdvice | None,
+    told: tuple[str, ...],
 ) -> LineNote:
-    flags = []
+    flags = list(told)
     if isinstance(outcome, PoseEstimate):
         if clipped_leds(capture, outcome):
             flags.append("saturated")

@@ -12,6 +12,7 @@ from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
 _BINS_PER_DECADE = 100
 _FIRST_S, _DECADES = 1e-7, 10
 ALL_STAGES = "all stages"
+LATENCY = "capture to answer"
 
 
 class StageTimes:
@@ -78,6 +79,8 @@ class Tally:
     def __init__(self, beacons: tuple[str, ...]) -> None:
         self.captures = 0
         self.exposure_changes = 0
+        self.dropped = 0
+        self.gaps_s: tuple[float, ...] = ()
         self.beacons = {name: BeaconCount() for name in beacons}
         self.stages: dict[str, StageTimes] = {}
 
@@ -119,6 +122,10 @@ class Tally:
             self._times(stage).add(duration_s)
         if told.stage_s:
             self._times(ALL_STAGES).add(sum(told.stage_s.values()))
+
+    def add_latency(self, duration_s: float) -> None:
+        """Count how long after its instant a live capture was answered, s."""
+        self._times(LATENCY).add(duration_s)
 
     def median_stage_s(self) -> dict[str, float]:
         """Median duration of each stage, s, over the captures that reached it."""

@@ -17,6 +17,11 @@ CAMERAS: dict[str, str] = {
     "video": "uvgs_bench.devices.cameras.video:VideoFile",
     "bag": "uvgs_bench.devices.cameras.bag:BagImages",
     "uvc": "uvgs_bench.devices.cameras.uvc:UvcCamera",
+    "rtsp": "uvgs_bench.devices.cameras.network:NetworkStream",
+    "http": "uvgs_bench.devices.cameras.network:NetworkStream",
+    "https": "uvgs_bench.devices.cameras.network:NetworkStream",
+    "aravis": "uvgs_bench.devices.cameras.aravis:AravisCamera",
+    "realsense": "uvgs_bench.devices.cameras.realsense:RealSenseCamera",
     "sim": "uvgs_bench.devices.sim.camera:SimulatedCamera",
     "sim-board": "uvgs_bench.devices.sim.waved_board:WavedBoard",
 }

@@ -11,6 +11,8 @@ order for a recorded source, and None when a recorded source has ended; indices 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isclose
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
@@ -55,6 +57,47 @@ class CameraSource(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close."""
+        ...
+
+
+@runtime_checkable
+class FreeRunning(Protocol):
+    """What a live camera has besides when it delivers frames by itself, whether or not they are asked for."""
+
+    def next_capture(self) -> Capture:
+        """The next frame in the camera's order, exposed before or after the call. Raises CaptureError."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A property of a camera that was asked for, and what the camera says it is.
+
+    Args:
+        name: Name of the option.
+        asked: What was asked for; None when nothing was.
+        got: What the camera says; None when it does not say.
+        unit: Unit of both, or empty.
+    """
+
+    name: str
+    asked: float | None
+    got: float | None
+    unit: str = ""
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the camera took it, to 2 %."""
+        return self.asked is None or (self.got is not None and isclose(self.asked, self.got, rel_tol=0.02))
+
+
+@runtime_checkable
+class ReadBack(Protocol):
+    """What a live camera has besides when its properties can be set by options of its spec."""
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """What was asked for and what came of it."""
         ...
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, field
+from math import isfinite
 from urllib.parse import parse_qsl
 
 from uvgs_bench.errors import ConfigError
@@ -16,7 +17,7 @@ class CameraSpec:
     Args:
         text: The spec as the user wrote it.
         scheme: What kind of source.
-        target: Folder, file, device number or name.
+        target: Folder, file, device number or name; the whole text when it is an address like ``rtsp://host/stream``.
         options: What stands behind the question mark.
     """
 
@@ -40,7 +41,14 @@ class CameraSpec:
         """
         scheme, colon, rest = text.partition(":")
         if not colon:
-            raise ConfigError("expected a camera like 'images:FOLDER', 'video:FILE', 'uvc:0' or 'sim:'", text)
+            raise ConfigError(
+                "expected a camera like 'images:FOLDER', 'video:FILE', 'bag:FILE', 'uvc:0', 'rtsp://HOST/STREAM' "
+                "or 'sim:'",
+                text,
+            )
+        if rest.startswith("//"):
+            # An address: what stands behind its question mark is the server's business.
+            return cls(text, scheme, text)
         target, _, query = rest.partition("?")
         try:
             # A plus sign in a file pattern is a plus sign, not a space.
@@ -61,6 +69,33 @@ class CameraSpec:
         for name in self.options:
             if name not in known:
                 raise ConfigError(f"unknown option '{name}'{did_you_mean(name, known)}", self.text)
+
+    def numbers(self, *, words: tuple[str, ...] = ()) -> dict[str, float]:
+        """The options that are numbers.
+
+        Args:
+            words: Names of the options that are none.
+
+        Returns:
+            Value by name; above zero, only a gain may be zero.
+
+        Raises:
+            ConfigError: One is no number, or no such number is possible.
+        """
+        found: dict[str, float] = {}
+        for name, text in self.options.items():
+            if name in words:
+                continue
+            try:
+                value = float(text)
+            except ValueError:
+                raise ConfigError(f"expected {name} as a number, got '{text}'", self.text) from None
+            is_possible = isfinite(value) and (value > 0.0 or (value == 0.0 and name.startswith("gain")))
+            if not is_possible or (name in ("width", "height") and not value.is_integer()):
+                what = "a whole number of px" if name in ("width", "height") else "a number above 0"
+                raise ConfigError(f"expected {name} as {what}, got '{text}'", self.text)
+            found[name] = value
+        return found
 
 
 def did_you_mean(name: str, known: tuple[str, ...]) -> str:
