@@ -13,6 +13,9 @@ import numpy as np
 
 from uvgs_bench.geometry import FloatArray, read_only
 
+# Rounding of the roots below; slower than this, per s, is at rest.
+_NO_SPEED = 1e-5
+
 
 @dataclass(frozen=True, slots=True)
 class Phase:
@@ -238,6 +241,7 @@ def _ramps(
     leaving = min(leaving, sqrt(entry * entry + twice * left))
     # A speed that cannot be braked in time is kept as low as can be.
     leaving = max(leaving, sqrt(max(entry * entry - twice * left, 0.0)))
+    leaving = 0.0 if leaving < _NO_SPEED else leaving
     peak = min(top, sqrt(max(acceleration * left + 0.5 * (entry * entry + leaving * leaving), 0.0)))
     peak = max(peak, entry, leaving)
     up, down = (peak * peak - entry * entry) / twice, (peak * peak - leaving * leaving) / twice
