@@ -6,7 +6,7 @@ axis keeps its direction, later axes lean towards earlier ones. Rotary axes have
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,12 +33,14 @@ class AxisTerms:
         covariance: Covariance of scales and shears, shape (6, 6); zero along what is held.
         null_directions: Directions of (scale, shear) held at zero because they were not asked for, not justified, not
             seen, or look like an error of the sensor's own scale, orthonormal rows, shape (k, 6).
+        degrees_of_freedom: How well the variance of each is known, shape (6,).
     """
 
     scale: FloatArray
     shear_rad: FloatArray
     covariance: FloatArray
     null_directions: FloatArray
+    degrees_of_freedom: FloatArray = field(default_factory=lambda: np.full(6, np.inf))
 
     @property
     def matrix(self) -> FloatArray:
@@ -49,6 +51,13 @@ class AxisTerms:
     def sigmas(self) -> FloatArray:
         """Standard deviations of scales and shears, shape (6,), 1 and rad; zero where held."""
         return read_only(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def half_widths(self) -> FloatArray:
+        """Half of the 95 % intervals of scales and shears, shape (6,), 1 and rad; zero where held."""
+        from scipy import stats
+
+        return read_only(self.sigmas * stats.t.ppf(0.975, self.degrees_of_freedom))
 
 
 def axis_matrix(errors: FloatArray) -> FloatArray:

@@ -18,12 +18,17 @@ from uvgs_bench.accuracy.bench_model import (
 )
 from uvgs_bench.accuracy.observability import Information, gauge_gradient, mounted_slice, part_information
 from uvgs_bench.accuracy.observations import Mount, Observations
+from uvgs_bench.accuracy.place_scatter import Groups, PlaceMeans, crossed
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import FloatArray, Pose
 
+LEAST_SIGMA_M = 1e-6
+"""No carriage stops better than this, m."""
 _MOST_ITERATIONS = 100
 _SCALE_ITERATIONS = 20
-_SCALE_SETTLED = 1e-10
+_SCALE_SETTLED = 1e-8
+# A step of a millionth of a standard deviation, squared.
+_STILL = 1e-12
 # Steps of rounding size, in rad and working distances.
 _LEAST_STEP = 1e-12
 # Roots of the chi-squared distribution with 6 degrees of freedom at 95 % and at 50 %.
@@ -65,8 +70,9 @@ class Alignment:
         damping = 0.0
         scale = 0.0
         is_settled = False
+        e = self.residuals(left, right)
         for iteration in range(1, _MOST_ITERATIONS + 1):
-            residual, J = self.linearised(left, right)
+            residual, J = self._linearised(left, e)
             distance = np.linalg.norm(residual, axis=1)
             # Weights and scale that chase each other need not settle: the scale stops following after a while.
             if not is_settled:
@@ -75,37 +81,44 @@ class Alignment:
                 scale = followed
             weights = np.minimum(1.0, _HUBER * scale / np.maximum(distance, 1e-300))
             w = self.shares * weights
-            H = np.einsum("n,nki,nkj->ij", w, J, J, optimize=True)
-            g = np.einsum("n,nki,nk->i", w, J, residual, optimize=True)
+            weighted = J * w[:, None, None]
+            H = crossed(weighted, J)
+            g = np.einsum("nki,nk->i", weighted, residual)
             parted = part_information(H, self.length_m)
             cost = self._cost(distance, scale)
             while True:
                 along = parted.seen.T @ (parted.scale * g)
                 step = parted.scale * (parted.seen @ (-along / (parted.values * (1.0 + damping))))
                 trial = left.perturbed(step[:6]), right.perturbed(step[6:])
-                new_cost = self._cost(self.distances(*trial), scale)
+                e = self.residuals(*trial)
+                new_cost = self._cost(self._lengths(e), scale)
                 if new_cost <= cost * (1.0 + 1e-9) + 1e-300 or damping > 1e9:
                     break
                 damping = max(4.0 * damping, 1e-3)
             gain = float(step @ H @ step)
             left, right = trial
             damping = damping / 8.0 if damping > 1e-6 else 0.0
-            is_still = gain <= 1e-14 * scale**2 or float(np.abs(step / parted.scale).max()) < _LEAST_STEP
+            is_still = gain <= _STILL * scale**2 or float(np.abs(step / parted.scale).max()) < _LEAST_STEP
             if is_settled and is_still:
                 return left, right, weights, iteration
         raise RegistrationError(f"the registration did not converge in {_MOST_ITERATIONS} iterations")
 
-    def linearised(self, left: Pose, right: Pose) -> tuple[FloatArray, FloatArray]:
-        """Whitened residuals (N, 6) and their derivatives (N, 6, 12) by the left tangents of both poses."""
-        e = pose_residuals(self.data, *predicted(left, right, self.R_g, self.t_g))
-        J = residual_jacobian(e, prediction_jacobian(left, self.R_g, self.t_g))
-        return np.einsum("nij,nj->ni", self.whitening, e), self.whitening @ J
+    def residuals(self, left: Pose, right: Pose) -> FloatArray:
+        """Residual of each capture, left tangents, shape (N, 6), rad and m."""
+        return pose_residuals(self.data, *predicted(left, right, self.R_g, self.t_g))
 
     def distances(self, left: Pose, right: Pose) -> FloatArray:
         """Whitened length of each residual, shape (N,)."""
-        e = pose_residuals(self.data, *predicted(left, right, self.R_g, self.t_g))
-        length: FloatArray = np.linalg.norm(np.einsum("nij,nj->ni", self.whitening, e), axis=1)
+        return self._lengths(self.residuals(left, right))
+
+    def _lengths(self, e: FloatArray) -> FloatArray:
+        length: FloatArray = np.linalg.norm((self.whitening @ e[:, :, None])[:, :, 0], axis=1)
         return length
+
+    def _linearised(self, left: Pose, e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Whitened residuals (N, 6) and their derivatives (N, 6, 12) by the left tangents of both poses."""
+        J = residual_jacobian(e, prediction_jacobian(left, self.R_g, self.t_g))
+        return (self.whitening @ e[:, :, None])[:, :, 0], self.whitening @ J
 
     def _cost(self, distance: FloatArray, scale: float) -> float:
         knee = _HUBER * scale
@@ -114,8 +127,8 @@ class Alignment:
 
     def information(self, left: Pose, right: Pose, weights: FloatArray) -> Information:
         """Information at a solution."""
-        _, J = self.linearised(left, right)
-        return part_information(np.einsum("n,nki,nkj->ij", self.shares * weights, J, J, optimize=True), self.length_m)
+        _, J = self._linearised(left, self.residuals(left, right))
+        return part_information(crossed(J * (self.shares * weights)[:, None, None], J), self.length_m)
 
     def regauge(
         self, left: Pose, right: Pose, weights: FloatArray, nominal: Pose, mount: Mount
@@ -138,21 +151,46 @@ class Alignment:
             left, right = left.perturbed(step[:6]), right.perturbed(step[6:])
         return left, right, parted, gradient
 
-    def place_scatter(
-        self, left: Pose, right: Pose, weights: FloatArray, of_place: NDArray[np.intp], place_count: int
-    ) -> float:
-        """Sum over places of the squared whitened mean residual."""
-        e = pose_residuals(self.data, *predicted(left, right, self.R_g, self.t_g))
-        return self.scatter_of(e, weights, of_place, place_count)
+    def place_means(
+        self, left: Pose, right: Pose, weights: FloatArray, of_place: NDArray[np.intp], moves: FloatArray
+    ) -> PlaceMeans:
+        """Means of the places at a solution, and how they would scatter by what is stated.
 
-    def scatter_of(self, e: FloatArray, weights: FloatArray, of_place: NDArray[np.intp], place_count: int) -> float:
-        """The same of given residuals, shape (N, 6), rad and m."""
+        Args:
+            left: The left pose.
+            right: The right pose.
+            weights: Weights of the robust loss, shape (N,); a place that is not believed scatters more.
+            of_place: Running number of each capture's place, shape (N,).
+            moves: Derivative of the left tangent of each prediction by the fitted directions, shape (N, 6, r).
+
+        Returns:
+            The means; parts are the sensor's and the carriage's.
+        """
+        e = self.residuals(left, right)
+        columns = residual_jacobian(e, moves)
+        w = self.shares * weights
+        P_inverse = self.whitening.transpose(0, 2, 1) @ (self.whitening * w[:, None, None])
+        grouped = Groups.of(of_place)
+        information = grouped.sums(P_inverse)
+        # Robust weights are ratios; a place without captures of full weight is known that much less.
+        trust = grouped.sums(w)[:, None, None]
+        stated = grouped.sums(self.data.covariance * self.shares[:, None, None]) / trust
+        visits = np.unique(np.column_stack([of_place, self.data.station]), axis=0)[:, 0]
+        often = np.bincount(visits, minlength=grouped.count)[:, None, None]
+        stopping = gantry_covariance(max(self.gantry_sigma_m, LEAST_SIGMA_M)) / (often * trust)
+        return PlaceMeans(
+            residual=_solved(information, grouped.sums(np.einsum("nij,nj->ni", P_inverse, e))[:, :, None])[:, :, 0],
+            design=_solved(information, grouped.sums(P_inverse @ columns)),
+            information=information,
+            parts=np.stack([stated, stopping]),
+        )
+
+    def scatter_of(self, e: FloatArray, weights: FloatArray, of_place: NDArray[np.intp]) -> float:
+        """Sum over places of the squared whitened mean of residuals, shape (N, 6), rad and m."""
         w = (self.shares * weights)[:, None, None]
-        P_inverse = self.whitening.transpose(0, 2, 1) @ self.whitening * w
-        info = np.zeros((place_count, 6, 6))
-        pull = np.zeros((place_count, 6))
-        np.add.at(info, of_place, P_inverse)
-        np.add.at(pull, of_place, np.einsum("nij,nj->ni", P_inverse, e))
+        P_inverse = self.whitening.transpose(0, 2, 1) @ (self.whitening * w)
+        grouped = Groups.of(of_place)
+        info, pull = grouped.sums(P_inverse), grouped.sums(np.einsum("nij,nj->ni", P_inverse, e))
         return float(np.einsum("si,si->", pull, np.linalg.solve(info, pull[:, :, None])[:, :, 0]))
 
 
@@ -181,3 +219,7 @@ def _whitening(data: Observations, gantry_sigma_m: float) -> FloatArray:
         return np.linalg.inv(np.linalg.cholesky(total))
     except np.linalg.LinAlgError:
         raise RegistrationError("a pose has a covariance that is not positive definite") from None
+
+
+def _solved(matrices: FloatArray, columns: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(matrices, columns), dtype=np.float64)

@@ -50,9 +50,13 @@ class Information:
 
     def covariance(self) -> FloatArray:
         """Inverse information in the seen directions, zero in the others, shape (12, 12)."""
-        factor = self.scale[:, None] * self.seen / np.sqrt(self.values)
+        factor = self.factor()
         out: FloatArray = factor @ factor.T
         return out
+
+    def factor(self) -> FloatArray:
+        """The seen directions, each as long as its standard deviation: root of the covariance, shape (12, r)."""
+        return np.asarray(self.scale[:, None] * self.seen / np.sqrt(self.values))
 
 
 def part_information(H: FloatArray, length_m: float) -> Information:

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from uvgs_bench.accuracy.bench_model import carriage_motion, predicted, prediction_jacobian
 from uvgs_bench.accuracy.bench_terms import TERM_COUNT, AxisTerms, moved_carriage_m, term_jacobian
 from uvgs_bench.accuracy.clusters import Estimate
-from uvgs_bench.accuracy.least_squares import Alignment, usual_distance
+from uvgs_bench.accuracy.least_squares import LEAST_SIGMA_M, Alignment, usual_distance
 from uvgs_bench.accuracy.observability import blind_spots, gauge_transform, in_gauge, mounted_slice
 from uvgs_bench.accuracy.observations import Mount, Observations
+from uvgs_bench.accuracy.place_scatter import fit_covariance, fit_parts
 from uvgs_bench.accuracy.registration_start import start_poses
 from uvgs_bench.accuracy.tangent import hats, rotation_logs
 from uvgs_bench.accuracy.term_fit import FittedTerms, fit_terms
@@ -67,7 +68,7 @@ class Registration:
         downweighted_count: Captures whose weight the robust loss lowered.
         outlier_count: Captures further from the fit than five times the usual distance.
         variance_factor: Scatter of the station means over what one capture's covariance predicts (1 = as predicted; 1/n
-            when n captures per station are independent); the covariance is already multiplied with it.
+            when n captures per station are independent).
         degrees_of_freedom: Of the variance factor: 6 per station less the rank.
         gantry_sigma_m: Standard deviation per axis assumed for the carriage position, m.
         iterations: Iterations of the least squares.
@@ -80,6 +81,9 @@ class Registration:
         term_factor: Root of the joint covariance of the 12 parameters and the terms: it is ``F F^T``, shape (20, K);
             empty without terms.
         origin_ns: Instant for which the time offset is quoted, ns.
+        sensor_factor: The sensor's part of that scatter, over the variance of one capture; the covariances hold this
+            part and the next.
+        stopping_sigma_m: The carriage's part: standard deviation per axis of where it stops at a place, m.
     """
 
     mount: Mount
@@ -105,6 +109,8 @@ class Registration:
     terms: FloatArray = field(default_factory=lambda: np.zeros(TERM_COUNT))
     term_factor: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     origin_ns: int = 0
+    sensor_factor: float = 1.0
+    stopping_sigma_m: float = 0.0
 
     @property
     def left_covariance(self) -> FloatArray:
@@ -223,10 +229,15 @@ def fit_registration(
         iterations += more
     left, right, parted, gradient = fit.regauge(left, right, weights, nominal, obs.mount)
     null = parted.null_directions()
-    fitted_count = 0 if found is None else 6 - len(found.held) + int(np.count_nonzero(found.values[6:]))
-    degrees = 6 * len(places) - parted.rank - fitted_count
-    factor = fit.place_scatter(left, right, weights, of_place, len(places)) / max(degrees, 1)
-    covariance = factor * in_gauge(parted.covariance(), null, gradient, mounted_slice(obs.mount))
+    seen = parted.factor()
+    moves = prediction_jacobian(left, fit.R_g, fit.t_g) @ seen
+    if found is not None:
+        by_terms = term_jacobian(data, left, found.values, origin_ns) @ found.directions
+        moves = np.concatenate([moves, by_terms], axis=2)
+    means = fit.place_means(left, right, weights, of_place, moves)
+    factor, parts = fit_parts(means)
+    covariance = seen @ fit_covariance(means, parts, parted.rank) @ seen.T
+    covariance = in_gauge(covariance, null, gradient, mounted_slice(obs.mount))
     extras: dict[str, Any] = {}
     if found is not None:
         into_gauge = gauge_transform(null, gradient, mounted_slice(obs.mount))
@@ -246,9 +257,11 @@ def fit_registration(
         downweighted_count=int((weights < 1.0).sum()),
         outlier_count=int((distance > _OUTLIER * _TYPICAL_LENGTH * usual_distance(distance, fit.shares)).sum()),
         variance_factor=factor,
-        degrees_of_freedom=degrees,
+        degrees_of_freedom=means.degrees_of_freedom,
         gantry_sigma_m=gantry_sigma_m,
         iterations=iterations,
+        sensor_factor=float(parts[0]),
+        stopping_sigma_m=max(gantry_sigma_m, LEAST_SIGMA_M) * float(parts[1]) ** 0.5,
         **extras,
     )
 
@@ -271,15 +284,21 @@ def _with_terms(
     joint = response @ of_terms @ response.T
     joint[:12, :12] += covariance
     values, vectors = np.linalg.eigh(0.5 * (joint + joint.T))
-    reach = float(stats.t.ppf(0.975, max(places - 6, 1)))
+    reach = np.asarray(stats.t.ppf(0.975, found.degrees_of_freedom))
     sigmas = np.sqrt(np.maximum(np.diag(of_terms), 0.0))
 
     def estimate(k: int) -> Estimate:
-        value, half = float(found.values[k]), reach * float(sigmas[k])
+        value, half = float(found.values[k]), float(reach[k] * sigmas[k])
         return Estimate(value, value - half, value + half, places, data.count)
 
     has_axes = "axis_scale" in found.taken or "squareness" in found.taken
-    axes = AxisTerms(read_only(found.values[:3]), read_only(found.values[3:6]), read_only(of_terms[:6, :6]), found.held)
+    axes = AxisTerms(
+        read_only(found.values[:3]),
+        read_only(found.values[3:6]),
+        read_only(of_terms[:6, :6]),
+        found.held,
+        read_only(found.degrees_of_freedom[:6]),
+    )
     return np.ascontiguousarray(joint[:12, :12]), {
         "axis_terms": axes if has_axes else None,
         "time_offset_s": estimate(6) if "time_offset" in found.taken else None,

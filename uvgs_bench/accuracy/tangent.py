@@ -105,14 +105,14 @@ def left_jacobian_inverses(xi: FloatArray) -> FloatArray:
     ad[:, :3, :3] = W
     ad[:, 3:, 3:] = W
     ad[:, 3:, :3] = hats(xi[:, 3:])
-    squared = ad @ ad
     out = np.eye(6) - 0.5 * ad
-    power = squared
+    power = squared = ad @ ad
     # A power 2k of a twist goes with its angle to the 2k - 1; what is below rounding is not worth its products.
     angle = float(np.sqrt((xi[:, :3] ** 2).sum(axis=1).max(initial=0.0)))
     for k, coefficient in enumerate(_BERNOULLI):
         if k and abs(coefficient) * angle ** (2 * k + 1) < _NEGLIGIBLE:
             break
-        out = out + coefficient * power
-        power = power @ squared
+        if k:
+            power = power @ squared
+        out += coefficient * power
     return out

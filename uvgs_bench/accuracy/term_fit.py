@@ -27,6 +27,7 @@ from uvgs_bench.accuracy.bench_terms import (
 )
 from uvgs_bench.accuracy.least_squares import Alignment
 from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.accuracy.place_scatter import Groups, crossed
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 
 LEVEL = 0.01
@@ -57,17 +58,21 @@ class FittedTerms:
         values: Scales x, y, z, shears xy, xz, yz, time offset, time rate, shape (8,), 1, rad, s, s/s; 0 where not
             fitted.
         covariance: Their covariance, shape (8, 8).
+        degrees_of_freedom: How well each one's variance is known, shape (8,); 1 or more.
         pose_response: How both poses follow a change of the terms, shape (12, 8), before a gauge is chosen.
         taken: Names of the groups taken up.
         held: Directions of (scale, shear) held at zero, orthonormal rows, shape (k, 6).
+        directions: Directions that were fitted, orthonormal columns, shape (8, K).
         notes: What became of each group, in the order asked.
     """
 
     values: FloatArray
     covariance: FloatArray
+    degrees_of_freedom: FloatArray
     pose_response: FloatArray
     taken: tuple[str, ...]
     held: FloatArray
+    directions: FloatArray
     notes: tuple[str, ...]
 
 
@@ -80,7 +85,7 @@ class _Normal:
     scatter: float
     rank: int
     rows: FloatArray
-    of_row: NDArray[np.intp]
+    grouped: Groups
 
     def eliminated(self, keep: FloatArray, drop: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Information about ``keep`` and the places' pulls on it, ``drop`` being free. Columns are directions."""
@@ -90,9 +95,8 @@ class _Normal:
     def place_information(self, keep: FloatArray, drop: FloatArray) -> FloatArray:
         """What each place contributes to the information about ``keep``, shape (S, k, k)."""
         seen = self.rows @ self._through(keep, drop)
-        out = np.zeros((len(self.pulls), keep.shape[1], keep.shape[1]))
-        np.add.at(out, self.of_row, seen[:, :, None] * seen[:, None, :])
-        return out
+        each = seen.reshape(len(self.grouped.order), 6, -1)
+        return self.grouped.sums(each.transpose(0, 2, 1) @ each)
 
     def _through(self, keep: FloatArray, drop: FloatArray) -> FloatArray:
         """The directions with what the others do to follow them."""
@@ -134,21 +138,33 @@ def fit_terms(
             state = full
         elif taken:
             basis = np.column_stack([bases[name] for name in taken])
-            state, normal = _converged(state, data, basis, of_place, origin_ns)
+            start = _at(full, data, basis @ (basis.T @ full.values), origin_ns)
+            state, normal = _converged(start, data, basis, of_place, origin_ns)
     ordered = tuple(dict.fromkeys(notes[_group(name, asked)] for name in asked))
     solution = (state.left, state.right, state.weights, state.iterations)
     if not taken:
         nothing = np.zeros((TERM_COUNT, TERM_COUNT))
-        empty = FittedTerms(state.values, nothing, np.zeros((_POSES, TERM_COUNT)), (), np.eye(6), ordered)
+        empty = FittedTerms(
+            values=state.values,
+            covariance=nothing,
+            degrees_of_freedom=np.ones(TERM_COUNT),
+            pose_response=np.zeros((_POSES, TERM_COUNT)),
+            taken=(),
+            held=np.eye(6),
+            directions=np.empty((TERM_COUNT, 0)),
+            notes=ordered,
+        )
         return empty, state.fit, solution
     basis = np.column_stack([bases[name] for name in taken])
     through = state.fit.information(state.left, state.right, state.weights).covariance()
     fitted = FittedTerms(
         values=read_only(state.values),
         covariance=read_only(basis @ _covariance(basis, normal) @ basis.T),
+        degrees_of_freedom=read_only(_degrees(basis, normal)),
         pose_response=read_only(-through @ normal.H[:_POSES, _POSES : _POSES + TERM_COUNT]),
         taken=tuple(part for name in taken for part in name.split("+")),
         held=read_only(np.linalg.svd(basis[:6].T)[2][int(np.linalg.matrix_rank(basis[:6])) :]),
+        directions=read_only(basis),
         notes=ordered,
     )
     return fitted, state.fit, solution
@@ -174,15 +190,19 @@ def _converged(
     for _ in range(_MOST_ITERATIONS):
         information, pulls = normal.eliminated(_embedded(basis), _OTHERS)
         step = -basis @ np.linalg.solve(information, pulls.sum(axis=0))
-        values = state.values + step
-        moved = replace(data, t_gs_m=moved_carriage_m(data, values, origin_ns))
-        fit = Alignment(moved, state.fit.shares, state.fit.gantry_sigma_m)
-        left, right, weights, iterations = fit.solve(state.left, state.right)
-        state = _State(fit, left, right, weights, state.iterations + iterations, values)
+        state = _at(state, data, state.values + step, origin_ns)
         normal = _normal(state, data, of_place, origin_ns)
         if float(np.abs(step / _UNITS).max()) < _SETTLED:
             break
     return state, normal
+
+
+def _at(state: _State, data: Observations, values: FloatArray, origin_ns: int) -> _State:
+    """The best poses for given terms."""
+    moved = replace(data, t_gs_m=moved_carriage_m(data, values, origin_ns))
+    fit = Alignment(moved, state.fit.shares, state.fit.gantry_sigma_m)
+    left, right, weights, iterations = fit.solve(state.left, state.right)
+    return _State(fit, left, right, weights, state.iterations + iterations, values)
 
 
 def _normal(state: _State, data: Observations, of_place: NDArray[np.intp], origin_ns: int) -> _Normal:
@@ -202,21 +222,20 @@ def _normal(state: _State, data: Observations, of_place: NDArray[np.intp], origi
     J = fit.whitening @ plain
     root = np.sqrt(fit.shares * weights)
     flat = (J * root[:, None, None]).reshape(-1, J.shape[2])
-    # Not ``flat.T @ flat``: its threads wait for one another for seconds on a busy machine.
-    H = np.einsum("ni,nj->ij", flat, flat)
+    J = flat.reshape(len(flat) // 6, 6, -1)
+    H = crossed(J, J)
     # Residuals as they would be with the sensor's scales free: what these explain is not scatter.
     pull = flat.T @ ((fit.whitening @ e[:, :, None])[:, :, 0] * root[:, None]).ravel()
     step = _OTHERS @ _solved(_OTHERS.T @ H @ _OTHERS, _OTHERS.T @ pull)
     e = e - (plain.reshape(-1, J.shape[2]) @ step).reshape(-1, 6)
     whitened = (fit.whitening @ e[:, :, None])[:, :, 0] * root[:, None]
-    places = int(of_place.max()) + 1
-    pulls = np.zeros((places, J.shape[2]))
-    np.add.at(pulls, of_place, (flat * whitened.ravel()[:, None]).reshape(J.shape).sum(axis=1))
+    grouped = Groups.of(of_place)
+    pulls = grouped.sums(np.einsum("nki,nk->ni", J, whitened))
     size = np.sqrt(np.maximum(np.diag(H)[:_POSES], 1e-300))
     seen = np.linalg.eigvalsh(H[:_POSES, :_POSES] / np.outer(size, size))
     rank = int((seen > 1e-9 * seen[-1]).sum())
-    scatter = fit.scatter_of(e, weights, of_place, places)
-    return _Normal(H, pulls, scatter, rank, flat, np.repeat(of_place, 6))
+    scatter = fit.scatter_of(e, weights, of_place)
+    return _Normal(H, pulls, scatter, rank, flat, grouped)
 
 
 def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
@@ -285,7 +304,7 @@ def _asked_for(
     information = np.asarray(np.linalg.inv(_covariance(basis, normal)), dtype=np.float64)
     target = information @ found
     owner = np.repeat(np.arange(tests), [b.shape[1] for b in bases.values()])
-    degrees = max(len(normal.pulls) - len(found) - 3, 1)
+    of_term = _degrees(basis, normal)
     while taken:
         kept = np.flatnonzero([list(bases)[k] in taken for k in owner])
         C = np.linalg.inv(information[np.ix_(kept, kept)])
@@ -293,6 +312,7 @@ def _asked_for(
         chances = {}
         for name in taken:
             own = np.flatnonzero(owner[kept] == list(bases).index(name))
+            degrees = max(float(of_term[np.abs(bases[name]).max(axis=1) > _ALIKE].min()) - len(own) + 1.0, 1.0)
             gain = float(here[own] @ np.linalg.solve(C[np.ix_(own, own)], here[own])) / len(own)
             chances[name] = tests * float(stats.f.sf(gain, len(own), degrees))
         worst = max(chances, key=lambda name: chances[name])
@@ -337,6 +357,21 @@ def _covariance(basis: FloatArray, normal: _Normal) -> FloatArray:
     values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
     factor = root @ (vectors * np.sqrt(np.maximum(values, _LEAST_SHARE)))
     return np.asarray(factor @ factor.T)
+
+
+def _degrees(basis: FloatArray, normal: _Normal) -> FloatArray:
+    """Degrees of freedom of each term's variance, shape (8,): how many places it rests on, less one.
+
+    Few places at the ends of a travel, or few in motion, carry most of what is known of a term, however many there are.
+
+    Source: R. M. Bell and D. F. McCaffrey, Bias reduction in standard errors for linear regression with multi-stage
+    samples (2002), with the terms of different places taken as independent.
+    """
+    keep = _embedded(basis)
+    information, _ = normal.eliminated(keep, _OTHERS)
+    direction = basis @ np.linalg.inv(information)
+    share = np.einsum("ti,sij,tj->ts", direction, normal.place_information(keep, _OTHERS), direction, optimize=True)
+    return np.asarray(np.maximum(share.sum(axis=1) ** 2 / np.maximum((share**2).sum(axis=1), 1e-300) - 1.0, 1.0))
 
 
 def _title(name: str) -> str:
