@@ -91,22 +91,39 @@ def read_calibration(path: Path | str) -> Calibration:
             the model does not have. The message names file and key.
     """
     path = Path(path)
-    data = _read_yaml(path)
+    return calibration_from_text(read_text(path, "a camera_info YAML file"), str(path))
+
+
+def calibration_from_text(text: str, path: str) -> Calibration:
+    """The calibration in a text.
+
+    Args:
+        text: A ``camera_info`` YAML text, with or without ``uvgs:``.
+        path: Where it comes from, for messages, and for the name of a camera that has none.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        ConfigError: As ``read_calibration``.
+    """
+    data = _parsed_yaml(text, path)
+    stem = Path(path).stem
     doubt_data = data.pop("uvgs", None)
     known = {key: data[key] for key in _CameraInfo.__dataclass_fields__ if key in data}
-    info = parse_document(known, _CameraInfo, str(path))
-    lens = _lens(info, str(path))
+    info = parse_document(known, _CameraInfo, path)
+    lens = _lens(info, path)
     if doubt_data is None:
-        return Calibration(lens, info.camera_name or path.stem)
-    doubt = parse_document(doubt_data, _Doubt, str(path), "uvgs")
+        return Calibration(lens, info.camera_name or stem)
+    doubt = parse_document(doubt_data, _Doubt, path, "uvgs")
     if doubt.schema != _SCHEMA:
-        raise ConfigError(f"is {doubt.schema}, expected {_SCHEMA}", str(path), "uvgs.schema")
+        raise ConfigError(f"is {doubt.schema}, expected {_SCHEMA}", path, "uvgs.schema")
     if doubt.covariance is not None and tuple(doubt.parameters) != lens.parameter_names:
-        raise ConfigError(f"is {doubt.parameters}, expected {list(lens.parameter_names)}", str(path), "uvgs.parameters")
+        raise ConfigError(f"is {doubt.parameters}, expected {list(lens.parameter_names)}", path, "uvgs.parameters")
     try:
         return Calibration(
             lens,
-            info.camera_name or path.stem,
+            info.camera_name or stem,
             None if doubt.covariance is None else doubt.covariance.array(),
             doubt.rms_px,
             doubt.held_out_rms_px,
@@ -123,7 +140,7 @@ def read_calibration(path: Path | str) -> Calibration:
     except CalibrationError as error:
         words = {"verdict": "uvgs.verdict", "halves": "uvgs.halves_ratio"}
         key = next((key for word, key in words.items() if word in str(error)), "uvgs.covariance")
-        raise ConfigError(str(error), str(path), key) from None
+        raise ConfigError(str(error), path, key) from None
 
 
 def write_calibration(path: Path | str, calibration: Calibration, *, force: bool = False) -> None:
@@ -192,19 +209,18 @@ def _matrix(values: FloatArray) -> dict[str, object]:
     return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(value) for value in values.ravel()]}
 
 
-def _read_yaml(path: Path) -> dict[str, object]:
+def _parsed_yaml(text: str, path: str) -> dict[str, object]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    text = read_text(path, "a camera_info YAML file")
     if "!!opencv-matrix" in text:
-        raise ConfigError("is OpenCV's own storage format, expected a camera_info YAML file", str(path))
+        raise ConfigError("is OpenCV's own storage format, expected a camera_info YAML file", path)
     try:
         data = YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
-        raise ConfigError(f"not valid YAML: {' '.join(str(error).split())[:160]}", str(path)) from None
+        raise ConfigError(f"not valid YAML: {' '.join(str(error).split())[:160]}", path) from None
     if not isinstance(data, dict):
-        raise ConfigError("expected a camera_info mapping (image_width, camera_matrix, ...)", str(path))
+        raise ConfigError("expected a camera_info mapping (image_width, camera_matrix, ...)", path)
     return cast(dict[str, object], data)
 
 
