@@ -9,13 +9,19 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.devices.gantry.axes import Axis, gantry_from_carriage
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.report.document import Figure
-from uvgs_bench.report.figures import canvas, in_space, series, space_axes, style, svg_of
+from uvgs_bench.report.figures import series, style, svg_of
+from uvgs_bench.report.marks import draw_marks
 from uvgs_bench.report.palette import BLUE, FAINT, GREEN, ORANGE, PURPLE
+from uvgs_bench.report.space import SpaceView, space_view
 from uvgs_bench.store.run import Run
 
 _TRIAD = (ORANGE, GREEN, BLUE)
 _TRIAD_SHARE = 0.14
 _MOST_STATIONS = 400
+# Looked at from the side, so that the way from camera to beacon is seen in its length.
+_TURN_RAD = -1.05
+# A name in pixels of the drawing.
+_NAME_PX = np.array([120.0, 18.0])
 
 
 def bench_figure(run: Run, registration: Registration) -> Figure | None:
@@ -50,20 +56,20 @@ def bench_figure(run: Run, registration: Registration) -> Figure | None:
         + "."
     )
     with style(key):
-        figure = canvas(height_in=3.7, arranges_itself=False)
-        axes = space_axes(figure, everything, elev_deg=22.0, azim_deg=-118.0)
-        span = np.ptp(in_space(everything), axis=0)
-        axes.set_box_aspect(np.maximum(span, 0.2 * float(span.max())), zoom=0.92)
-        for corner in cone:
-            axes.plot(*in_space(np.stack([np.zeros(3), corner])).T, color=FAINT, lw=0.9)
-        axes.plot(*in_space(np.vstack([cone, cone[:1]])).T, color=FAINT, lw=0.9)
+        tips = [pose.t_m + size_m * pose.R[:, k] for pose in frames.values() for k in range(3)]
+        figure, view = space_view(np.vstack([everything, tips]), turn_rad=_TURN_RAD)
+        gap = np.full(3, np.nan)
+        sides = np.concatenate([np.stack([np.zeros(3), corner, gap]) for corner in cone])
+        view.axes.plot(*view.of(np.vstack([sides, cone, cone[:1]])), color=FAINT, lw=0.9)
         if len(box):
             gaps = np.concatenate([box, np.full((len(box), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-            axes.plot(*in_space(gaps).T, "--", color=PURPLE, lw=0.8, label="travel of the carriage")
-        axes.plot(*in_space(beacons).T, ".", color=FAINT, ms=2.5, label="beacon at the stations")
-        axes.plot(*in_space(leds_m).T, "o", color=ORANGE, ms=3.0, label="LEDs")
-        for name, pose in _merged(frames, 0.25 * size_m).items():
-            _draw_frame(axes, name, pose, size_m)
+            view.axes.plot(*view.of(gaps), "--", color=PURPLE, lw=0.8, label="travel of the carriage")
+        draw_marks(view.axes, view.of(beacons), "o", colour=FAINT, size_pt=1.6, label="beacon at the stations")
+        draw_marks(view.axes, view.of(leds_m), "o", colour=ORANGE, size_pt=3.2, label="LEDs")
+        merged = _merged(frames, 0.25 * size_m)
+        for pose in merged.values():
+            _draw_frame(view, pose, size_m)
+        _draw_names(view, merged)
         figure.legend(loc="upper left", ncols=3, handletextpad=0.3, columnspacing=0.9, borderaxespad=0.2)
         svg = svg_of(figure, key, alt)
     data = tuple(series(f"beacon {n}", "m", beacons[:, k]) for k, n in enumerate("xyz"))
@@ -144,12 +150,26 @@ def _merged(frames: dict[str, Pose], near_m: float) -> dict[str, Pose]:
     return merged
 
 
-def _draw_frame(axes: object, name: str, pose: Pose, size_m: float) -> None:
+def _draw_frame(view: SpaceView, pose: Pose, size_m: float) -> None:
     for k, colour in enumerate(_TRIAD):
         tip = pose.t_m + size_m * pose.R[:, k]
-        axes.plot(*in_space(np.stack([pose.t_m, tip])).T, "-", color=colour, lw=2.0)  # type: ignore[attr-defined]
-        axes.text(*in_space(tip), "xyz"[k], color=colour, fontsize=7.5)  # type: ignore[attr-defined]
-    axes.text(*in_space(pose.t_m), f" {name}", fontsize=8.5, va="top")  # type: ignore[attr-defined]
+        view.axes.plot(*view.of(np.stack([pose.t_m, tip])), "-", color=colour, lw=2.0)
+        x, y = view.of(pose.t_m + 1.15 * size_m * pose.R[:, k])
+        view.axes.text(float(x), float(y), "xyz"[k], color=colour, fontsize=7.5, ha="center", va="center")
+
+
+def _draw_names(view: SpaceView, frames: dict[str, Pose]) -> None:
+    """Name frames where they are; a name that would cover another goes to the other side."""
+    taken: list[FloatArray] = []
+    for name, pose in frames.items():
+        place = view.of(pose.t_m)
+        at_px = view.axes.transData.transform(place)
+        is_near = any((np.abs(at_px - other) < _NAME_PX).all() for other in taken)
+        taken.append(at_px)
+        shift, va = ((4, 12), "bottom") if is_near else ((4, -6), "top")
+        view.axes.annotate(
+            name, (float(place[0]), float(place[1])), shift, textcoords="offset points", fontsize=8.5, va=va
+        )
 
 
 def _place(pose: Pose) -> str:

@@ -9,7 +9,7 @@ from uvgs_bench.accuracy.judgement import Judgement, LimitVerdict
 from uvgs_bench.report.cells import Interval, Number
 from uvgs_bench.report.chapters import built_sections
 from uvgs_bench.report.document import Alert, Document, KeyFigure
-from uvgs_bench.report.quantities import SCALES, decimals_of
+from uvgs_bench.report.quantities import SCALES, decimals_of, limit_reason
 from uvgs_bench.report.sections import SECTIONS
 from uvgs_bench.store.run import Run
 
@@ -89,7 +89,7 @@ def headline(judgement: Judgement) -> str:
 
 
 def _short(verdict: LimitVerdict) -> str:
-    return f"{verdict.limit.quantity.rsplit('_', 1)[0].replace('_', ' ')} ({verdict.reason.rstrip('.')})"
+    return f"{verdict.limit.quantity.rsplit('_', 1)[0].replace('_', ' ')} ({limit_reason(verdict).rstrip('.')})"
 
 
 def _key_figures(judgement: Judgement) -> tuple[KeyFigure, ...]:

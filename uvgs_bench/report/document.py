@@ -151,9 +151,10 @@ class Figure:
         caption: What is drawn, with units.
         series: The numbers drawn.
         live: What a script on the page may make of them; the drawing always stands without it. For ``zoom`` every
-            series in seconds begins a group, and those after it are drawn over it. For ``space`` the series are, in
-            camera axes, x, y, z of the stations in m, x, y, z of their mean errors in mm, then x, y, z in m of the
-            stations that registered, and how many times longer than true errors are drawn.
+            series in seconds begins a group, and those after it are drawn over it. For ``space`` the series are, of
+            each station in camera axes, x, y, z in m, x, y, z of its mean error in mm, the angle of its mean attitude
+            error in deg, whether it fitted the registration (1) or judges (0); last, how many times longer than true
+            errors are drawn.
 
     Raises:
         ValueError: No alternative text, or no drawing.

@@ -144,41 +144,6 @@ def legend_above(axes: Axes, columns: int) -> None:
     axes.legend(ncols=columns, handletextpad=0.3, columnspacing=1.2, **place)
 
 
-def in_space(points: FloatArray) -> FloatArray:
-    """Camera axes (x right, y down, z forward) as drawn in space: forward, right, up, shape (..., 3)."""
-    # So the picture stands upright while the ticks keep the camera's axes.
-    result: FloatArray = points[..., [2, 0, 1]] * np.array([1.0, 1.0, -1.0])
-    return result
-
-
-def space_axes(figure: Canvas, points: FloatArray, elev_deg: float = 22.0, azim_deg: float = -118.0) -> Any:
-    """Axes in space, true to scale but never so flat that nothing can be seen.
-
-    Args:
-        figure: From ``canvas(arranges_itself=False)``.
-        points: Everything that will be drawn, camera axes, shape (N, 3), m.
-        elev_deg: Height of the eye, degrees.
-        azim_deg: Its direction, degrees.
-
-    Returns:
-        Axes that take what ``in_space`` gives.
-    """
-    from matplotlib.ticker import MaxNLocator
-
-    axes: Any = figure.add_axes((0.0, 0.02, 0.97, 0.93), projection="3d")
-    axes.set_xlabel("z, forward (m)")
-    axes.set_ylabel("x, right (m)")
-    axes.set_zlabel("-y, up (m)")
-    span = np.ptp(in_space(points), axis=0)
-    axes.set_box_aspect(np.maximum(span, 0.35 * max(float(span.max()), 1e-9)), zoom=0.87)
-    axes.view_init(elev=elev_deg, azim=azim_deg)
-    axes.tick_params(labelsize=7.5)
-    for which in (axes.xaxis, axes.yaxis, axes.zaxis):
-        which.pane.fill = False
-        which.set_major_locator(MaxNLocator(nbins=4))
-    return axes
-
-
 def thinned(count: int) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Evenly spread indices of at most ``MOST_POINTS`` of so many points."""
     if count <= MOST_POINTS:

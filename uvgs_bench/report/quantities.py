@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uvgs_bench.accuracy.judgement import QUANTITIES, LimitVerdict
 from uvgs_bench.accuracy.statistics import Estimate
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.cells import Interval, Measured, Number, decimals_for
@@ -33,6 +34,8 @@ STATISTIC_WORDS = {
     "fraction": "share of captures with a pose",
 }
 
+LARGEST_WORDS = "95 % of all lie below it with 95 % confidence"
+"""What the largest of enough values says about those not taken."""
 
 CAMERA_CONVENTIONS = (
     ("Camera frame", "Optical centre; x right, y down, z forward."),
@@ -93,6 +96,20 @@ def measured(estimate: Estimate, scale: Scale, decimals: int) -> Measured:
     """A figure and its interval, for a table cell."""
     e = estimate.scaled(scale.factor)
     return Measured(Number(e.value, decimals, scale.unit), Interval(e.low, e.high, decimals, scale.unit))
+
+
+def is_largest_seen(verdict: LimitVerdict) -> bool:
+    """Whether a limit was held against the largest value seen, which is a fact and has no interval."""
+    return QUANTITIES[verdict.limit.quantity][1].endswith("max") and verdict.low == verdict.value == verdict.high
+
+
+def limit_reason(verdict: LimitVerdict) -> str:
+    """Why a limit is met or not, in words."""
+    if not is_largest_seen(verdict):
+        return verdict.reason
+    if verdict.verdict == "pass":
+        return f"the largest seen is within the limit, and {LARGEST_WORDS}"
+    return "the largest seen is beyond the limit"
 
 
 def station_means(station: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from uvgs_bench.report.sections import SECTIONS, distribution, errors, limits, m
 from uvgs_bench.sensor.outcome import Miss
 from uvgs_bench.store.run import Run
 
-BUILT_ON_ERRORS = ("errors", "volume", "distribution", "worst", "quantities", "budget", "diagnosis", "gantry")
+BUILT_ON_ERRORS = ("errors", "volume", "distribution", "worst", "quantities", "budget", "gantry")
 """Chapters left out when there are no errors (the last when the gantry was never judged)."""
 
 
@@ -76,6 +76,9 @@ def test_a_run_that_cannot_be_registered_says_why(run: Run) -> None:
     assert document.verdict == "inconclusive"
     assert document.headline == "No accuracy can be stated: needs at least 3 stations, got 2"
     assert [s.key for s in document.sections] == [key for key in SECTIONS if key not in BUILT_ON_ERRORS]
+    (said,) = section(document, "diagnosis").blocks
+    assert isinstance(said, Paragraph)
+    assert "without a registration" in said.text
 
 
 def test_a_run_without_samples_has_a_report(run: Run) -> None:
@@ -106,7 +109,7 @@ def test_every_quantity_a_limit_may_name_has_words_and_its_unit(run: Run) -> Non
     for row, name in zip(rows, QUANTITIES, strict=True):
         assert isinstance(row[2], Number)
         assert row[2].unit == {"mm": "mm", "deg": "deg", "percent": "%", "ms": "ms"}[QUANTITIES[name][2]]
-        assert str(row[1]).startswith("≥" if name == "availability_percent" else "≤")
+        assert str(row[4]).startswith("≥" if name == "availability_percent" else "≤")
 
 
 def test_a_procedure_without_limits_is_not_called_passed(run: Run) -> None:

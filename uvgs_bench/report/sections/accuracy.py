@@ -39,7 +39,11 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     blocks: list[Block] = [Paragraph(_introduction(summary))]
     for names, what in ((_POSITION, "Position"), (_ATTITUDE, "Attitude")):
         blocks.append(
-            _statistics_table(summary, names, f"{what} error, held-out stations, 95 % interval below each figure.")
+            _statistics_table(
+                summary,
+                names,
+                f"{what} error, held-out stations, 95 % interval below each figure; the largest seen has none.",
+            )
         )
     blocks.append(_repeatability_table(summary))
     if judgement.in_sample_summary is not None:
@@ -82,8 +86,8 @@ def _statistics_table(summary: AccuracySummary, names: tuple[str, ...], caption:
     columns = (Column("Component"), *(Column(label, scale.unit, True) for label in _STATISTICS))
     rows: list[tuple[Cell, ...]] = []
     for c in chosen:
-        estimates: list[Estimate] = [getattr(c, field) for field in _STATISTICS.values()]
-        rows.append((COMPONENT_WORDS[c.name], *(measured(e, scale, decimals) for e in estimates)))
+        figures = [measured(getattr(c, field), scale, decimals) for field in _STATISTICS.values() if field != "max"]
+        rows.append((COMPONENT_WORDS[c.name], *figures, Number(c.max.value * scale.factor, decimals, scale.unit)))
     return Table(caption, columns, tuple(rows))
 
 

@@ -9,8 +9,9 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.calibration_evidence import CalibrationEvidence
 from uvgs_bench.report.document import Figure, Section
-from uvgs_bench.report.figures import canvas, in_space, legend_above, series, space_axes, style, svg_of
+from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_of
 from uvgs_bench.report.palette import BLUE, FAINT, INK, ORANGE
+from uvgs_bench.report.space import space_view
 
 _CAMERA_SHARE = 0.3
 _WORST = 3
@@ -65,9 +66,7 @@ def _view_3d(result: CalibrationResult, outlines: FloatArray, worst: set[int]) -
     )
     pyramid = _pyramid(result.calibration.lens, _CAMERA_SHARE * float(depth.min()))
     with style(key):
-        figure = canvas(height_in=3.9, arranges_itself=False)
-        everything = np.vstack([outlines.reshape(-1, 3), pyramid.reshape(-1, 3)])
-        axes = space_axes(figure, everything, elev_deg=20.0, azim_deg=-125.0)
+        figure, view = space_view(np.vstack([outlines.reshape(-1, 3), pyramid.reshape(-1, 3)]))
         bad = np.isin(np.arange(len(outlines)), list(worst))
         for chosen, colour, label, width in (
             (outlines[~bad], BLUE, "boards", 1.0),
@@ -75,7 +74,7 @@ def _view_3d(result: CalibrationResult, outlines: FloatArray, worst: set[int]) -
             (pyramid, INK, "camera", 1.2),
         ):
             if len(chosen):
-                axes.plot(*in_space(_with_gaps(chosen)).T, "-", color=colour, lw=width, label=label)
+                view.axes.plot(*view.of(_with_gaps(chosen)), "-", color=colour, lw=width, label=label)
         figure.legend(loc="upper left", ncols=3, handletextpad=0.4, columnspacing=0.9, borderaxespad=0.2)
         svg = svg_of(figure, key, alt)
     numbers = tuple(series(f"middle {n}", "m", middles[:, k]) for k, n in enumerate("xyz"))

@@ -17,10 +17,14 @@ _LEAST_SHOWN = 1e-4
 def build(run: Run, judgement: Judgement) -> Section | None:
     """Suspects with evidence and the check that would confirm each."""
     title = "Diagnosis"
-    if judgement.registration is None:
-        return None
+    if judgement.registration is None and not judgement.diagnosis:
+        text = (
+            "Not diagnosed: without a registration there are no errors whose pattern could be held against known "
+            "causes. The alerts say what the registration needs."
+        )
+        return Section("diagnosis", title, (Paragraph(text),))
     visits = len({sample.station for sample in run.samples if sample.is_solved})
-    if visits < LEAST_VISITS:
+    if visits < LEAST_VISITS and not judgement.diagnosis:
         text = f"Not diagnosed: {visits} stations have a pose, at least {LEAST_VISITS} are needed to tell causes apart."
         return Section("diagnosis", title, (Paragraph(text),))
     if not judgement.diagnosis:

@@ -11,6 +11,7 @@ from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Figure, Paragraph, Section
 from uvgs_bench.report.figures import legend_above, plain_axes, series, style, svg_of, thinned
+from uvgs_bench.report.marks import draw_marks
 from uvgs_bench.report.palette import INK, SERIES
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.store.run import Run
@@ -136,8 +137,8 @@ def _nees_by_range(table: ErrorTable) -> Figure:
     with style(key):
         figure, axes = plain_axes()
         shown = thinned(table.count)
-        axes.plot(
-            table.range_m[shown], table.nees[shown], "o", color=SERIES[0], ms=3.4, mew=0, alpha=0.75, label="captures"
+        draw_marks(
+            axes, np.stack([table.range_m, table.nees])[:, shown], "o", colour=SERIES[0], alpha=0.75, label="captures"
         )
         axes.axhline(_DEGREES_OF_FREEDOM, ls="--", color=INK, lw=1.2, label="expected mean")
         axes.axhline(_POINT_95, ls=":", color=INK, lw=1.2, label="expected 95 % point")

@@ -13,6 +13,7 @@ from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Block, Figure, Paragraph, Section
 from uvgs_bench.report.figures import legend_above, plain_axes, series, style, svg_of, symmetric_limits, thinned
+from uvgs_bench.report.marks import draw_marks
 from uvgs_bench.report.palette import FAINT, MARKERS, SERIES
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, s_from_ns
@@ -53,7 +54,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
 
 def _scatter(axes: Axes, x: FloatArray, errors: FloatArray, names: tuple[str, ...]) -> None:
     for k, name in enumerate(names):
-        axes.plot(x, errors[:, k], MARKERS[k], color=SERIES[k], ms=3.4, mew=0, alpha=0.75, label=name)
+        draw_marks(axes, np.stack([x, errors[:, k]]), MARKERS[k], colour=SERIES[k], alpha=0.75, label=name)
     axes.axhline(0.0, color=FAINT, lw=0.8)
     symmetric_limits(axes, errors)
 
@@ -153,14 +154,16 @@ def _against_time(run: Run, table: ErrorTable, in_sample: ErrorTable | None) -> 
             fitted = in_sample.select(in_sample.is_solved)
             shown = thinned(fitted.count)
             fitted_s, fitted_mm = _seconds(fitted, start), mm_from_m(fitted.position_error_m)
-            axes.plot(fitted_s[shown], fitted_mm[shown], "x", color=FAINT, ms=4, label="in sample")
+            draw_marks(
+                axes, np.stack([fitted_s, fitted_mm])[:, shown], "x", colour=FAINT, size_pt=4.0, label="in sample"
+            )
             data += [
                 series("time in sample", "s", fitted_s),
                 series("position error in sample", "mm", fitted_mm),
                 series("attitude error in sample", "deg", deg_from_rad(fitted.attitude_error_rad)),
             ]
         shown = thinned(table.count)
-        axes.plot(held_s[shown], held_mm[shown], "o", color=SERIES[0], ms=3.4, mew=0, alpha=0.8, label="held out")
+        draw_marks(axes, np.stack([held_s, held_mm])[:, shown], "o", colour=SERIES[0], alpha=0.8, label="held out")
         axes.set_ylim(bottom=0.0)
         axes.set_xlabel("time since the first capture (s)")
         axes.set_ylabel("position error (mm)")

@@ -8,17 +8,24 @@ from uvgs_bench.accuracy.judgement import QUANTITIES, Judgement, LimitVerdict
 from uvgs_bench.accuracy.quantity_catalogue import TEXTS
 from uvgs_bench.report.cells import Cell, Interval, Mark, Number, decimals_for
 from uvgs_bench.report.document import Alert, Alerts, Block, Column, Level, Paragraph, Section, Table
-from uvgs_bench.report.quantities import COMPONENT_WORDS, STATISTIC_WORDS, unit_word
+from uvgs_bench.report.quantities import (
+    COMPONENT_WORDS,
+    STATISTIC_WORDS,
+    is_largest_seen,
+    limit_reason,
+    unit_word,
+)
 from uvgs_bench.store.run import Run
 
 _LEVELS: dict[str, Level] = {"note": "info", "warning": "warning", "error": "danger"}
+# The verdict stands beside its requirement, so that it is seen on a telephone without scrolling.
 _COLUMNS = (
     Column("Requirement"),
-    Column("Limit", is_numeric=True),
+    Column("Verdict"),
     Column("Found", is_numeric=True),
     Column("95 % interval", is_numeric=True),
+    Column("Limit", is_numeric=True),
     Column("Stations", is_numeric=True),
-    Column("Verdict"),
     Column("Because"),
 )
 
@@ -57,12 +64,13 @@ def _row(verdict: LimitVerdict) -> tuple[Cell, ...]:
     if limit.unit == "percent":
         decimals = max(decimals, 1)
     sign = "≤" if limit.bound == "max" else "≥"
+    interval: Cell = Interval(verdict.low, verdict.high, decimals, unit)
     return (
         words,
-        f"{sign} {limit.value:g} {unit}",
-        Number(verdict.value, decimals, unit),
-        Interval(verdict.low, verdict.high, decimals, unit),
-        Number(verdict.n, 0),
         Mark(verdict.verdict),
-        verdict.reason,
+        Number(verdict.value, decimals, unit),
+        "the largest seen" if is_largest_seen(verdict) else interval,
+        f"{sign} {limit.value:g} {unit}",
+        Number(verdict.n, 0),
+        limit_reason(verdict),
     )

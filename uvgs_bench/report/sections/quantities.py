@@ -8,11 +8,11 @@ import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.quantity_catalogue import Quantity
-from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.cells import Cell, Number, decimals_for
 from uvgs_bench.report.document import Block, Column, Definitions, Figure, Paragraph, Section, Table
 from uvgs_bench.report.figures import canvas, series, style, svg_of
 from uvgs_bench.report.palette import FAINT, SERIES
-from uvgs_bench.report.quantities import SCALES, Scale, decimals_of, measured
+from uvgs_bench.report.quantities import LARGEST_WORDS, SCALES, Scale, decimals_of, measured
 from uvgs_bench.store.run import Run
 
 _GROUP_WORDS = {
@@ -59,7 +59,7 @@ def _table(given: Sequence[Quantity]) -> Table:
                 Number(q.estimate.station_count, 0),
                 Number(q.estimate.capture_count, 0),
                 Number(worth if worth > 0.0 else None, 0),
-                q.estimate.note,
+                "; ".join(filter(None, (_largest_note(q), q.estimate.note))),
             )
         )
     columns = (
@@ -82,8 +82,20 @@ def _scale(q: Quantity) -> Scale:
     return SCALES["percent" if q.unit == "1" else q.unit]
 
 
+def _is_largest(q: Quantity) -> bool:
+    e = q.estimate
+    return q.key.endswith("_max") and e.low == e.value == e.high
+
+
+def _largest_note(q: Quantity) -> str:
+    return f"the largest seen: {LARGEST_WORDS}" if _is_largest(q) else ""
+
+
 def _shown(q: Quantity) -> Cell:
     scale = _scale(q)
+    if _is_largest(q):
+        value = q.estimate.value * scale.factor
+        return Number(value, decimals_for([0.1 * value]), scale.unit)
     return measured(q.estimate, scale, decimals_of([q.estimate], scale.factor))
 
 

@@ -16,6 +16,11 @@ from uvgs_bench.store.run import Run, Sample
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
 _LISTED = 10
+_KEPT = {
+    "all": "all, but their files are not in its folder",
+    "worst": "the misses and the largest residuals, and a large error need not leave a large residual",
+    "none": "none",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +75,8 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     if pictures:
         blocks.append(Paragraph("Circles: LEDs as observed. Crosses: where the registration expects them."))
         blocks.append(Gallery(pictures))
+    else:
+        blocks.append(Paragraph(f"No picture of these captures was kept: the run kept {_KEPT[run.manifest.keep]}."))
     return Section("worst", "Worst captures", tuple(blocks))
 
 

@@ -25,29 +25,49 @@
         button.title = label;
         button.setAttribute("aria-label", label);
         button.addEventListener("click", act);
+        return button;
       }
     };
   }
   function columns(data) { return data.series.map(function (s) { return s.values; }); }
 
-  // ---- space: stations with their error vectors ----
+  // ---- space: stations by the colour of their errors, with error vectors ----
+  var CIVIDIS = ["00224e", "1a386f", "434e6c", "61656f", "7d7c78", "9b9476", "bcae6c", "dec958", "fee838"];
+  function colourAt(share) {
+    var at = Math.max(0, Math.min(1, share)) * (CIVIDIS.length - 1), n = Math.min(Math.floor(at), CIVIDIS.length - 2);
+    var part = at - n, out = [0, 2, 4].map(function (k) {
+      var from = parseInt(CIVIDIS[n].slice(k, k + 2), 16), to = parseInt(CIVIDIS[n + 1].slice(k, k + 2), 16);
+      return Math.round(from + part * (to - from));
+    });
+    return "rgb(" + out.join(",") + ")";
+  }
   function space(figure, data) {
-    var c = columns(data), count = c[0].length, extra = c[6] ? c[6].length : 0;
-    var low = [1e9, 1e9, 1e9], high = [-1e9, -1e9, -1e9], k, i;
+    var c = columns(data), count = c[0].length, low = [1e9, 1e9, 1e9], high = [-1e9, -1e9, -1e9], k, i;
     for (k = 0; k < 3; k++) {
       for (i = 0; i < count; i++) { low[k] = Math.min(low[k], c[k][i]); high[k] = Math.max(high[k], c[k][i]); }
-      for (i = 0; i < extra; i++) { low[k] = Math.min(low[k], c[6 + k][i]); high[k] = Math.max(high[k], c[6 + k][i]); }
     }
     var size = Math.max(Math.hypot(high[0] - low[0], high[1] - low[1], high[2] - low[2]), 1e-6);
     var middle = [0, 1, 2].map(function (n) { return 0.5 * (low[n] + high[n]); });
-    var first = c[9][0];
+    var first = c[8][0], fits = c[7];
+    var measures = [
+      { name: "Position", unit: "mm", values: c[3].map(function (e, n) { return Math.hypot(e, c[4][n], c[5][n]); }) },
+      { name: "Lateral", unit: "mm", values: c[3].map(function (e, n) { return Math.hypot(e, c[4][n]); }) },
+      { name: "Depth", unit: "mm", values: c[5].map(Math.abs) },
+      { name: "Attitude", unit: "deg", values: c[6] }
+    ];
+    measures.forEach(function (m) {
+      // The scale serves the stations that judge; what is beyond its end wears the last colour.
+      var sorted = m.values.filter(function (v, n) { return !fits[n]; }).sort(function (a, b) { return a - b; });
+      m.top = sorted[Math.min(sorted.length - 1, Math.floor(sorted.length < 50 ? sorted.length : 0.98 * sorted.length))] || 1;
+      m.open = sorted[sorted.length - 1] > m.top;
+    });
     var ui = frame(figure, data);
     var canvas = make(ui.box, "canvas");
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", data.alt + " Arrow keys turn the view.");
+    canvas.setAttribute("aria-label", data.alt + " Arrow keys turn the view, plus and minus change its size.");
     var said = make(ui.box, "output");
-    var view;
+    var view, by = measures[0], buttons;
     function reset() { view = { turn: -0.5, lift: 0.38, zoom: 1, times: first }; draw(); }
     function project(x, y, z) {
       // Camera axes: x right, y down, z forward. The eye turns about the vertical, then looks down a little.
@@ -55,14 +75,27 @@
       var s = Math.sin(view.turn), t = Math.cos(view.turn);
       var right = a * t - b * s, away = a * s + b * t;
       var p = Math.sin(view.lift), q = Math.cos(view.lift);
-      var scale = view.zoom * 0.86 * Math.min(canvas.clientWidth, 1.25 * canvas.clientHeight) / size;
+      var scale = view.zoom * 0.86 * Math.min(canvas.clientWidth, 1.25 * (canvas.clientHeight - 40)) / size;
       return [
         canvas.clientWidth / 2 + scale * right,
-        canvas.clientHeight / 2 - scale * (up * q + away * p),
+        (canvas.clientHeight - 40) / 2 - scale * (up * q + away * p),
         away * q - up * p
       ];
     }
     function line(g, from, to) { g.beginPath(); g.moveTo(from[0], from[1]); g.lineTo(to[0], to[1]); g.stroke(); }
+    function bar(g, width, height) {
+      var across = Math.min(320, width - 90), left = (width - across) / 2, top = height - 30, n;
+      for (n = 0; n < 64; n++) {
+        g.fillStyle = colourAt((n + 0.5) / 64);
+        g.fillRect(left + across * n / 64, top, across / 64 + 1, 9);
+      }
+      g.fillStyle = css("--ink");
+      g.textAlign = "center";
+      g.fillText("0", left, top + 22);
+      g.fillText((0.5 * by.top).toPrecision(2), left + across / 2, top + 22);
+      g.fillText(by.top.toPrecision(2) + " " + by.unit + (by.open ? " and more" : ""), left + across, top + 22);
+      g.textAlign = "start";
+    }
     function draw() {
       var dots = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
       if (!width) return;
@@ -89,45 +122,51 @@
         g.fillText(name + " " + low[axis].toFixed(2) + " to " + high[axis].toFixed(2) + " m",
           Math.max(4, Math.min(width - 150, 0.5 * (from[0] + to[0]))), 0.5 * (from[1] + to[1]) + 14);
       });
-      g.strokeStyle = css("--faint");
-      for (i = 0; i < extra; i++) {
-        var f = project(c[6][i], c[7][i], c[8][i]);
-        line(g, [f[0] - 3, f[1] - 3], [f[0] + 3, f[1] + 3]);
-        line(g, [f[0] - 3, f[1] + 3], [f[0] + 3, f[1] - 3]);
-      }
-      var order = [], spots = [];
+      var order = [], spots = [], m = view.times / 1000;
       for (i = 0; i < count; i++) { spots.push(project(c[0][i], c[1][i], c[2][i])); order.push(i); }
       order.sort(function (a, b) { return spots[b][2] - spots[a][2]; });
-      var blue = css("--blue"), orange = css("--orange"), m = view.times / 1000;
-      g.lineWidth = 1.5;
+      g.strokeStyle = css("--faint");
       order.forEach(function (j) {
-        var p = spots[j];
-        g.strokeStyle = orange;
+        var p = spots[j], share = by.values[j] / by.top, r = 2.4 + 2.6 * Math.min(1, share);
         line(g, p, project(c[0][j] + m * c[3][j], c[1][j] + m * c[4][j], c[2][j] + m * c[5][j]));
-        g.fillStyle = blue;
-        g.beginPath(); g.arc(p[0], p[1], 2.6, 0, 7); g.fill();
+        g.fillStyle = colourAt(share);
+        g.beginPath();
+        if (fits[j]) g.rect(p[0] - r, p[1] - r, 2 * r, 2 * r); else g.arc(p[0], p[1], r, 0, 7);
+        g.fill();
+        g.stroke();
       });
+      bar(g, width, height);
       canvas.spots = spots;
-      said.textContent = "Blue: held-out stations. Crosses: registration. Orange: mean error, " +
-        Number(view.times.toPrecision(2)) + " times as long as true.";
+      said.textContent = by.name + " error by colour (mean of a station). Discs judge, squares fitted the registration. " +
+        "Lines: mean position error, " + Number(view.times.toPrecision(2)) + " times as long as true.";
     }
     function turn(by, up) {
       view.turn += by;
       view.lift = Math.max(-1.57, Math.min(1.57, view.lift + up));
       draw();
     }
+    function larger(times) { view.zoom *= times; draw(); }
+    buttons = measures.map(function (m) {
+      return ui.button(m.name, "Colour by " + m.name.toLowerCase() + " error", function () {
+        by = m;
+        buttons.forEach(function (b, n) { b.setAttribute("aria-pressed", measures[n] === by); });
+        draw();
+      });
+    });
+    buttons.forEach(function (b, n) { b.setAttribute("aria-pressed", n === 0); });
     ui.button("◀", "Turn left", function () { turn(-0.2, 0); });
     ui.button("▶", "Turn right", function () { turn(0.2, 0); });
     ui.button("▲", "Look from higher", function () { turn(0, 0.15); });
     ui.button("▼", "Look from lower", function () { turn(0, -0.15); });
-    ui.button("+", "Larger", function () { view.zoom *= 1.25; draw(); });
-    ui.button("−", "Smaller", function () { view.zoom /= 1.25; draw(); });
-    ui.button("Longer arrows", "Longer arrows", function () { view.times *= 1.5; draw(); });
-    ui.button("Shorter arrows", "Shorter arrows", function () { view.times /= 1.5; draw(); });
+    ui.button("+", "Larger", function () { larger(1.25); });
+    ui.button("−", "Smaller", function () { larger(0.8); });
+    ui.button("Longer lines", "Longer error vectors", function () { view.times *= 1.5; draw(); });
+    ui.button("Shorter lines", "Shorter error vectors", function () { view.times /= 1.5; draw(); });
     ui.button("Reset", "First view", reset);
     canvas.addEventListener("keydown", function (event) {
       var move = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
       if (move) { turn(move[0], move[1]); event.preventDefault(); }
+      if (event.key === "+" || event.key === "-") { larger(event.key === "+" ? 1.25 : 0.8); event.preventDefault(); }
     });
     var held = null;
     canvas.addEventListener("pointerdown", function (event) {
@@ -148,8 +187,9 @@
       });
       if (best >= 0) {
         said.textContent = "x " + c[0][best].toFixed(3) + ", y " + c[1][best].toFixed(3) + ", z " +
-          c[2][best].toFixed(3) + " m: mean error " + Math.hypot(c[3][best], c[4][best], c[5][best]).toFixed(3) +
-          " mm (x " + c[3][best].toFixed(3) + ", y " + c[4][best].toFixed(3) + ", z " + c[5][best].toFixed(3) + ")";
+          c[2][best].toFixed(3) + " m: mean error " + measures[0].values[best].toFixed(3) + " mm (x " +
+          c[3][best].toFixed(3) + ", y " + c[4][best].toFixed(3) + ", z " + c[5][best].toFixed(3) + "), attitude " +
+          c[6][best].toFixed(4) + " deg; " + (fits[best] ? "fitted the registration" : "judges");
       }
     });
     reset();
