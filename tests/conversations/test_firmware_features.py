@@ -170,6 +170,30 @@ def test_lost_heartbeat_stops_the_motion_and_the_light_and_keeps_the_position(bo
     assert steps_of(fields_of(board.say("$P")[0], "POS")[3]) == table.motor_steps
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_host_that_falls_silent_while_homing_breaks_it_off(firmware_builds: FirmwareBuilds, kind: str) -> None:
+    with firmware_builds.board(kind) as board:
+        for setting in ("$22=1", "$26=20", "$25=500", "$24=250", "$202=200", *(f"${base + i}={v}" for base, v in BRISK.items()
+                        for i in range(3))):  # fmt: skip
+            assert board.say(setting, 20) == ["ok"]
+        board.do("M 0 0 -8000", 1)
+        lines = board.say("$H", 1500)
+        assert lines[:3] == ["[MSG:Heartbeat lost]", "ALARM:6", "ok"]
+        assert "[MSG:'$H'|'$X' to unlock]" in lines
+        stopped = board.table().motor_steps[2] + 8000
+        # 500 mm/min for 200 ms are 667 steps; then none.
+        assert 500 < stopped < 750
+        board.send(b"", 500)
+        assert board.table().motor_steps[2] + 8000 == stopped
+        assert board.send(STATUS, 20)[0].startswith("<Alarm|")
+        # A host that keeps asking homes: 20 mm of Z, then X and Y, take some 7 s.
+        assert board.say("$H", 1) == []
+        said = [line for _ in range(80) for line in board.send(POSITION, 100)]
+        assert [line for line in said if not line.startswith("[POS")] == ["ok"]
+        assert fields_of(said[0], "POS")[1] == "Home"
+        assert fields_of(said[-1], "POS")[6] == "XYZ"
+
+
 def test_emergency_stop_ends_the_steps_at_once_and_locks_until_released(board: LockstepBoard) -> None:
     # Closed at rest: the pin is low, and pressing opens it.
     board.do("E 0", 1)

@@ -162,14 +162,22 @@ void serve_holds() {
 
 void serve_heartbeat() {
   uint16_t limit_ms = settings::now.heartbeat_ms;
-  if (limit_ms == 0 || !is_queue_state() || !stepper::is_moving() || is_cancelling) {
+  bool is_homing = now_state == State::home;
+  if (limit_ms == 0 || !(is_queue_state() || is_homing) || !stepper::is_moving() || is_cancelling) {
     heartbeat_lost = false;
     return;
   }
-  if (heartbeat_lost || hal::ticks() - serial::last_byte_ticks() < limit_ms * TICKS_PER_MS) return;
+  // In this order: a byte that comes between the two is heard before now.
+  uint32_t heard = serial::last_byte_ticks();
+  if (heartbeat_lost || hal::ticks() - heard < limit_ms * TICKS_PER_MS) return;
   heartbeat_lost = true;
   hal::set_led(0);
   modes.spindle = 5;
+  if (is_homing) {
+    // There is no position to keep: the cycle ends as at a reset.
+    abort(ALARM_RESET_HOMING);
+    return;
+  }
   hal::Quiet quiet;
   pending = pending | WANT_HOLD;
 }
