@@ -1,0 +1,139 @@
+"""The framing that bag formats share: bytes that may end too early, chunks that may not unpack, places to go on.
+
+Also what a scan hands out: channels and messages, before anything is decoded.
+"""
+
+from __future__ import annotations
+
+import bz2
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, BinaryIO
+
+from uvgs_bench.errors import FormatError
+
+Report = Callable[[str, int], None]
+"""Takes what is wrong and at which byte."""
+
+# A compressed chunk is unpacked in memory; recorders write some MB.
+_MOST_CHUNK = 1 << 30
+_PIECE = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class BagChannel:
+    """One stream of messages of a bag.
+
+    Args:
+        topic: Its topic.
+        msgtype: Its type, ``package/msg/Name``.
+        wire: How messages are serialised: ``ros1`` or ``cdr``.
+        definition: Text of the definition; empty when the bag has none.
+        definition_kind: ``msg`` or ``idl``.
+        is_latched: Whether late subscribers got the last message.
+    """
+
+    topic: str
+    msgtype: str
+    wire: str
+    definition: str = ""
+    definition_kind: str = "msg"
+    is_latched: bool = False
+
+
+Record = tuple[BagChannel, int, bytes]
+"""A message: its channel, the bag's own time (ns), its bytes."""
+
+
+def full_msgtype(name: str) -> str:
+    """A type name with its middle part, which ROS 1 and some writers leave out."""
+    package, _, short = name.rpartition("/")
+    return name if not package or package.endswith("/msg") else f"{package}/msg/{short}"
+
+
+def zstd_module() -> Any:
+    """The module for zstd: part of the standard library from Python 3.14 on, before a dependency of rosbags."""
+    return import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+
+
+def take(file: BinaryIO, length: int, size: int) -> bytes:
+    """So many bytes of a file of that size. Raises FormatError when it ends before them."""
+    if file.tell() + length > size:
+        raise FormatError("ends in the middle of a record")
+    return file.read(length)
+
+
+def take_chunk(file: BinaryIO, length: int, size: int) -> tuple[bytes, bool]:
+    """What is there of a chunk, and whether that is all of it."""
+    start = file.tell()
+    if min(length, size - start) > _MOST_CHUNK:
+        raise FormatError(f"says a chunk of {length} bytes")
+    payload = file.read(length)
+    return payload, len(payload) == length
+
+
+def skip_to(file: BinaryIO, start: int, pattern: re.Pattern[bytes], size: int) -> bool:
+    """Go to the next place that looks like the start of a chunk; False when there is none."""
+    position, tail = start, b""
+    file.seek(start)
+    while piece := file.read(1 << 22):
+        window = tail + piece
+        for found in pattern.finditer(window):
+            at = position - len(tail) + found.start()
+            if at >= start:
+                file.seek(at)
+                return True
+        position += len(piece)
+        tail = window[-128:]
+    file.seek(size)
+    return False
+
+
+def unpacked(kind: str, payload: bytes) -> tuple[bytes, bool]:
+    """What can be unpacked of a compressed chunk, and whether its end was reached."""
+    decoder: Any
+    if kind == "bz2":
+        decoder = bz2.BZ2Decompressor()
+    elif kind == "lz4":
+        decoder = import_module("lz4.frame").LZ4FrameDecompressor()
+    elif kind == "zstd":
+        decoder = zstd_module().ZstdDecompressor()
+    else:
+        return b"", False
+    parts = []
+    try:
+        for i in range(0, len(payload), _PIECE):
+            if decoder.eof:
+                break
+            parts.append(decoder.decompress(payload[i : i + _PIECE]))
+    except Exception:  # three libraries, three kinds of error, one meaning
+        return b"".join(parts), False
+    return b"".join(parts), bool(decoder.eof)
+
+
+def unpack_file(source: BinaryIO, target: BinaryIO) -> str:
+    """Undo zstd over a whole file, as far as it goes.
+
+    Args:
+        source: The compressed file.
+        target: Where to.
+
+    Returns:
+        What stopped it before the end, or empty.
+    """
+    zstd = zstd_module()
+    decoder = zstd.ZstdDecompressor()
+    try:
+        while piece := source.read(1 << 20):
+            while piece:
+                if decoder.eof:
+                    # Frames may follow one another.
+                    decoder = zstd.ZstdDecompressor()
+                target.write(decoder.decompress(piece))
+                piece = decoder.unused_data if decoder.eof else b""
+    except zstd.ZstdError as error:
+        return " ".join(str(error).split())
+    return "" if decoder.eof else "it ends too early"
