@@ -25,15 +25,16 @@ $(VENV)/.installed-test: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group test
 	touch $@
 
-# The firmware is compiled for the Arduino and run in a simulator. Where packages may not be installed, its tests are
-# skipped, except in CI.
-FIRMWARE_PACKAGES := gcc-avr binutils-avr avr-libc libsimavr-dev g++ make
+# The firmware is compiled for the Arduino and run in a simulator, and machine-vision cameras are read through Aravis,
+# which has a fake one. Where packages may not be installed, their tests are skipped, except in CI.
+SYSTEM_PACKAGES := gcc-avr binutils-avr avr-libc libsimavr-dev g++ make python3-gi gir1.2-aravis-0.8
 system-packages:
-	@if command -v avr-g++ >/dev/null && command -v g++ >/dev/null && test -e /usr/include/simavr/sim_avr.h; then exit 0; fi; \
+	@if command -v avr-g++ >/dev/null && command -v g++ >/dev/null && test -e /usr/include/simavr/sim_avr.h \
+	  && ls /usr/lib/*/girepository-1.0/Aravis-0.8.typelib >/dev/null 2>&1; then exit 0; fi; \
 	as_root=; test "$$(id -u)" = 0 || as_root="sudo -n"; \
 	if command -v apt-get >/dev/null && $$as_root true 2>/dev/null && $$as_root apt-get update -qq \
-	  && $$as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(FIRMWARE_PACKAGES); then exit 0; fi; \
-	echo "The firmware's tests need what could not be installed here: $(FIRMWARE_PACKAGES)" >&2
+	  && $$as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $(SYSTEM_PACKAGES); then exit 0; fi; \
+	echo "The tests need what could not be installed here: $(SYSTEM_PACKAGES)" >&2
 
 test: install-test system-packages
 	$(BIN)/ruff check .

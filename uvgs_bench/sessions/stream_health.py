@@ -20,8 +20,8 @@ FROZEN = "frozen"
 _PATIENCE = 20
 # Every so many rows and columns are looked at.
 _SAMPLED = 16
-# Below this share of full scale everywhere there is no light at all; an LED's core is above.
-_BLACK = 0.03
+# Below this share of full scale everywhere there is nothing but noise.
+_BLACK = 0.06
 # Above this share of clipped pixels no threshold finds a spot.
 _CLIPPED, _MOST_CLIPPED = 0.98, 0.2
 # Noise makes no two pictures of a live camera the same.
@@ -71,7 +71,7 @@ class StreamHealth:
                 self._said = ""
         else:
             self._misses.update(f"{o.stage}/{o.reason}" for o in outcomes.values() if isinstance(o, Miss))
-            if self._misses.total() >= _PATIENCE * len(outcomes):
+            if self._misses and self._misses.total() >= _PATIENCE * len(outcomes):
                 self._say(self._cause(capture, is_frozen))
                 self._misses.clear()
         return (FROZEN,) if is_frozen else ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 import time
+import warnings
 from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
@@ -246,9 +247,8 @@ def _bindings(spec: str) -> Any:
             module = importlib.util.module_from_spec(found)
             sys.modules["gi"] = module
             found.loader.exec_module(module)
-        gi: Any = importlib.import_module("gi")
-        gi.require_version("Aravis", "0.8")
-        return importlib.import_module("gi.repository.Aravis")
+        _module("gi").require_version("Aravis", "0.8")
+        return _module("gi.repository.Aravis")
     except (ImportError, ValueError) as error:
         sys.modules.pop("gi", None)
         raise CaptureError(
@@ -259,5 +259,12 @@ def _bindings(spec: str) -> Any:
 
 
 def _glib_error() -> type[Exception]:
-    error: type[Exception] = importlib.import_module("gi.repository.GLib").Error
+    error: type[Exception] = _module("gi.repository.GLib").Error
     return error
+
+
+def _module(name: str) -> Any:
+    with warnings.catch_warnings():
+        # The bindings' importer is of an old kind.
+        warnings.simplefilter("ignore", ImportWarning)
+        return importlib.import_module(name)
