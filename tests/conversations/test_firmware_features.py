@@ -173,8 +173,8 @@ def test_lost_heartbeat_stops_the_motion_and_the_light_and_keeps_the_position(bo
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_host_that_falls_silent_while_homing_breaks_it_off(firmware_builds: FirmwareBuilds, kind: str) -> None:
     with firmware_builds.board(kind) as board:
-        for setting in ("$22=1", "$26=20", "$25=500", "$24=250", "$202=200", *(f"${base + i}={v}" for base, v in BRISK.items()
-                        for i in range(3))):  # fmt: skip
+        brisk = [f"${base + i}={value}" for base, value in BRISK.items() for i in range(3)]
+        for setting in ("$22=1", "$26=20", "$25=500", "$24=250", "$202=200", *brisk):
             assert board.say(setting, 20) == ["ok"]
         board.do("M 0 0 -8000", 1)
         lines = board.say("$H", 1500)

@@ -25,7 +25,7 @@ STEPS_PER_MM = 80
 SWITCHES = (240, 320, 400)  # steps from where the carriage stands at power-up: 3, 4 and 5 mm
 TRAVEL_MM = 30.0
 SETTINGS = [
-    "$22=1", "$20=1", "$1=255", "$10=3", "$26=5", "$24=300", "$25=1800", "$27=0.5",
+    "$22=1", "$20=1", "$1=255", "$10=3", "$26=5", "$24=300", "$25=1800", "$27=0.5", "$202=3000",
     *(f"${base + i}={value}" for base, value in ((100, STEPS_PER_MM), (110, 3000), (120, 500), (130, 30))
       for i in range(3)),
 ]  # fmt: skip

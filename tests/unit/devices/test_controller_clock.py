@@ -7,8 +7,9 @@ import pytest
 
 from tests.helpers.grbl_ports import MockGantry, linear_axes
 from uvgs_bench.devices.gantry import Envelope
-from uvgs_bench.devices.gantry.controller_clock import ClockFit, Exchange, fit_clock
-from uvgs_bench.devices.gantry.grbl_protocol import Message, read_stamp
+from uvgs_bench.devices.gantry.controller_clock import ClockFit, fit_clock
+from uvgs_bench.devices.gantry.grbl_link import Exchange
+from uvgs_bench.devices.gantry.grbl_protocol import Message, read_place
 from uvgs_bench.devices.sim.grbl_uvgs import UvgsDevice
 from uvgs_bench.errors import GantryError
 
@@ -69,8 +70,8 @@ def test_too_few_are_refused() -> None:
 
 
 def test_a_damaged_stamp_is_no_stamp() -> None:
-    assert read_stamp(Message("POS", "0|Idle|12345|1,2,3|0|-|-|-|1*0000")) is None
-    assert read_stamp(Message("POS", "garbage")) is None
+    assert read_place(Message("POS", "0|Idle|12345|1,2,3|0|-|-|-|1*0000")) is None
+    assert read_place(Message("POS", "garbage")) is None
 
 
 @pytest.fixture
@@ -117,3 +118,31 @@ def test_a_recorded_move_is_where_the_motors_were(monkeypatch: pytest.MonkeyPatc
         moving += bool(np.any(high - low > 1e-6))
     assert moving > 10
     assert max(p.doubt_ns for p in positions) < 5_000_000
+
+
+def test_a_recorded_move_of_our_firmware_has_the_times_of_its_clock(ours: MockGantry) -> None:
+    """Answers are held up by 0 to 60 ms: the host's times scatter by that, the controller's do not."""
+    ours.gantry.home()
+    rng = np.random.default_rng(4)
+    heard = ours.gantry._link.wire.read_line
+
+    def late(deadline_ns: int) -> str | None:
+        line = heard(deadline_ns)
+        if line is not None and line.startswith("[POS"):
+            ours.clock.sleep(0.06 * float(rng.random()) ** 2)
+        return line
+
+    ours.gantry._link.wire.read_line = late  # type: ignore[method-assign]
+    with ours.gantry.recording() as positions:
+        ours.gantry.move_to([-0.05, -0.02, -0.03], 0.03)
+    assert len(positions) > 10
+    doubt_s = np.array([p.doubt_ns for p in positions]) / 1e9
+    # s; the quickest of the answers bounds all of them.
+    assert np.median(doubt_s) < 0.01
+    along = np.array([-0.05, -0.02, -0.03]) / np.linalg.norm([-0.05, -0.02, -0.03])
+    for stamped in positions:
+        early, late_m = (
+            ours.device.position_at(stamped.t_ns + d) @ along for d in (-stamped.doubt_ns, stamped.doubt_ns)
+        )
+        # m; half a step on each axis.
+        assert early - 4e-6 <= stamped.position @ along <= late_m + 4e-6

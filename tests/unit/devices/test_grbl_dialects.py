@@ -17,7 +17,7 @@ from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.grbl_codes import find_dialect
 from uvgs_bench.devices.gantry.grbl_settings import settings_warnings
 from uvgs_bench.devices.sim.grbl_uvgs import UvgsDevice
-from uvgs_bench.errors import GantryAlarm
+from uvgs_bench.errors import GantryAlarm, GantryLost
 
 ROOT = Path(__file__).parents[3]
 IDENTITY = {
@@ -182,6 +182,50 @@ def test_a_lost_ok_is_asked_for_again_and_nothing_runs_twice(ours: MockGantry) -
     assert lost
     np.testing.assert_allclose(state.position, [-0.02, -0.01, -0.03], atol=2.5e-6)
     assert _stops(ours) == before + 1
+
+
+def test_our_firmware_is_asked_for_positions_that_cannot_be_torn_or_damaged(ours: MockGantry) -> None:
+    ours.gantry.home()
+    begun = len(ours.spy.events)
+    ours.gantry.move_to([-0.0123, -0.001, -0.001], 0.05)
+    asked = [text for _, direction, text in ours.spy.events[begun:] if direction == ">!"]
+    assert set(asked) == {"0xF0"}
+    send, spoilt = ours.device._send, []
+
+    def damage(line: str) -> None:
+        if line.startswith("[POS") and len(spoilt) < 2:
+            spoilt.append(line)
+            line = line.replace("-4920", "-4921")
+        send(line)
+
+    ours.device._send = damage  # type: ignore[method-assign]
+    state = ours.gantry.state()
+    assert len(spoilt) == 2
+    assert "-4920" in spoilt[0]
+    # 400 steps/mm: the counter itself, not three decimals of it.
+    assert state.position[0] == pytest.approx(-0.0123, abs=1e-12)
+    assert state.details["Homed"] == "XYZ"
+
+
+def test_a_restart_that_nobody_heard_loses_the_position(ours: MockGantry) -> None:
+    ours.gantry.home()
+    assert ours.gantry.state().is_trusted
+    ours.device.power_cycle(ours.clock.now_ns())
+    # The welcome is lost on the line.
+    ours.device.take_output(ours.clock.now_ns())
+    with pytest.raises(GantryLost, match="restarted unheard"):
+        ours.gantry.state()
+    assert not ours.gantry.state().is_homed
+
+
+def test_our_firmware_hears_from_its_host_while_it_homes(ours: MockGantry) -> None:
+    begun = len(ours.spy.events)
+    ours.gantry.home()
+    beats = [t_ns for t_ns, direction, text in ours.spy.events[begun:] if (direction, text) == (">!", "0xF0")]
+    # ns; a homing cycle takes seconds, and a heartbeat of half a second would do.
+    assert len(beats) > 10
+    assert max(np.diff(beats)) < 500_000_000
+    assert ours.gantry.state().is_trusted
 
 
 def test_plain_ports_still_open_by_their_spec(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,12 +17,12 @@ import numpy as np
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.devices.gantry import grbl_protocol as protocol
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
-from uvgs_bench.devices.gantry.controller_clock import Exchange, ask_clock
+from uvgs_bench.devices.gantry.controller_clock import PositionRecord
 from uvgs_bench.devices.gantry.gantry import ControllerInfo, GantryState, StampedPosition, WireLog
 from uvgs_bench.devices.gantry.grbl_arrival import LATE_S, WATCH_S, Way, await_arrival, come_to_rest
 from uvgs_bench.devices.gantry.grbl_codes import MALFORMED
 from uvgs_bench.devices.gantry.grbl_identity import identify
-from uvgs_bench.devices.gantry.grbl_link import GrblLink
+from uvgs_bench.devices.gantry.grbl_link import Exchange, GrblLink
 from uvgs_bench.devices.gantry.grbl_settings import ControllerSettings
 from uvgs_bench.devices.gantry.grbl_stream import GrblStream, StreamDoor
 from uvgs_bench.devices.gantry.grbl_wire import GrblWire
@@ -59,7 +59,7 @@ class GrblGantry:
         self._is_homing = False
         self._may_move = False
         self._last_state: GantryState | None = None
-        self._recorded: list[StampedPosition] | None = None
+        self._record: PositionRecord | None = None
         self._info = ControllerInfo("", "", "", {})
         self._settings = ControllerSettings(read_only(np.ones(len(envelope.axes))), False, envelope.axes)
 
@@ -275,13 +275,15 @@ class GrblGantry:
         """Within this, every position the controller reports is kept with its time, and moves are watched closely.
 
         Yields:
-            The positions so far, in the order of time. On an 8-bit controller one may be torn while it moves.
+            The positions so far, in the order of time, at the end with the times of a controller that has a clock.
+            On an 8-bit controller with plain reports one may be torn while it moves.
         """
-        self._recorded = []
+        record = self._record = PositionRecord()
         try:
-            yield self._recorded
+            yield record.positions
         finally:
-            self._recorded = None
+            self._record = None
+            record.finish()
 
     @contextmanager
     def streaming(self) -> Iterator[GrblStream]:
@@ -310,7 +312,7 @@ class GrblGantry:
     def exchange(self) -> Exchange | None:
         """Ask the controller's own clock what time it is; None where it has none. Raises GantryTimeout, GantryLost."""
         self._check_open()
-        return ask_clock(self._link, self._clock) if self._link.dialect.has_checksums else None
+        return self._link.ask_place()[1] if self._link.dialect.has_checksums else None
 
     def ask(self, line: str) -> list[str]:
         """Send a line that moves nothing, and return the lines that answer it; ``?`` is answered by a report.
@@ -387,9 +389,9 @@ class GrblGantry:
     def _ask_state(self) -> GantryState:
         asked_ns = self._clock.now_ns()
         report, machine = self._link.ask_report(len(self.axes))
-        if self._recorded is not None:
-            position = protocol.si_from_controller(self.axes, machine)
-            self._recorded.append(StampedPosition.between(asked_ns, self._clock.now_ns(), position))
+        position = protocol.si_from_controller(self.axes, machine)
+        if self._record is not None:
+            self._record.add(asked_ns, self._clock.now_ns(), position, self._link.exchange)
         if report.activity in ("Alarm", "Sleep"):
             self._homed_epoch = _NEVER
         fields = dict(report.fields)
@@ -398,7 +400,7 @@ class GrblGantry:
         self._last_state = GantryState(
             t_ns=self._clock.now_ns(),
             activity=report.activity,
-            position=protocol.si_from_controller(self.axes, machine),
+            position=position,
             is_homed=self._is_homed,
             is_trusted=self._is_homed and report.activity == "Idle",
             details=fields,
@@ -413,7 +415,7 @@ class GrblGantry:
         return last if self._clock.now_ns() - last.t_ns < ns_from_s(WATCH_S) else self._ask_state()
 
     def _await_arrival(self, way: Way, begun_ns: int, duration_s: float) -> GantryState:
-        every_s = WATCH_S if self._recorded is None else _RECORD_S
+        every_s = WATCH_S if self._record is None else _RECORD_S
         return await_arrival(way, self._link, self._clock, self._ask_state, self._brake, begun_ns, duration_s, every_s)
 
     def _order(self, line: str) -> None:

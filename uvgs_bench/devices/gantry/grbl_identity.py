@@ -16,6 +16,11 @@ _REPLY_S = 5.0
 _READINGS = 5
 # The last touch of a probe is no setting.
 _PASSING = ("PRB", "TLO")
+_HEARTBEAT = "202"
+_NO_HEARTBEAT = (
+    "no heartbeat ($202=0): when this computer dies, a move under way runs to its end; `uvgs gantry settings 202=2000` "
+    "lets the controller stop after 2 s"
+)
 
 
 def identify(link: GrblLink, axes: Sequence[Axis]) -> tuple[ControllerInfo, ControllerSettings]:
@@ -37,6 +42,11 @@ def identify(link: GrblLink, axes: Sequence[Axis]) -> tuple[ControllerInfo, Cont
     dialect = link.dialect = find_dialect(identity)
     checked = read_settings(settings, axes, link.port, dialect)
     warnings = settings_warnings(settings, axes)
+    if dialect.has_checksums:
+        settings |= _heard_twice(link, lambda: _own_settings(link))
+        link.steps = checked.steps
+        if settings.get(_HEARTBEAT) == "0":
+            warnings = (*warnings, _NO_HEARTBEAT)
     for warning in warnings:
         link.wire.remark(warning)
     version = identity.get("VER", "").rstrip(":")
@@ -49,6 +59,13 @@ def _messages(link: GrblLink, line: str) -> dict[str, str]:
 
 def _settings(link: GrblLink) -> dict[str, str]:
     return {a.number: a.value for a in link.command("$$", _REPLY_S) if isinstance(a, protocol.Setting)}
+
+
+def _own_settings(link: GrblLink) -> dict[str, str]:
+    try:
+        return {a.number: a.value for a in link.command("$S", _REPLY_S) if isinstance(a, protocol.Setting)}
+    except GantryRefused:
+        return {}
 
 
 def _parameters(link: GrblLink) -> dict[str, str]:

@@ -24,6 +24,7 @@ HOLD = 0x21
 JOG_CANCEL = 0x85
 POSITION = 0xF0
 """Asks our own firmware for its time and step counters."""
+_PLACE_FIELDS = 9
 LONGEST_LINE = 80
 """Characters a controller's line buffer holds, its terminator included."""
 
@@ -167,16 +168,44 @@ def _read_report(text: str) -> Report | Unknown:
     return Report(activity, substate, positions.get("machine"), positions.get("work"), positions.get("offset"), fields)
 
 
-def read_stamp(message: Message) -> float | None:
-    """The controller's time in a position report ``[POS:...*CRC]``, us; None when it is damaged.
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Our firmware's position report: all of one instant, and proven whole by its checksum.
+
+    Args:
+        activity: The controller's word.
+        substate: What follows it after a colon, or empty.
+        controller_us: When the question arrived, us since the controller's start.
+        steps: Step counters, shape (A,).
+        age_us: Time since the last step, us.
+        homed: Letters of the homed axes.
+        flags: As in ``firmware/PROTOCOL.md``.
+        boot: Number of the controller's start.
+    """
+
+    activity: str
+    substate: str
+    controller_us: float
+    steps: FloatArray
+    age_us: float
+    homed: str
+    flags: str
+    boot: int
+
+
+def read_place(message: Message) -> Place | None:
+    """The position report ``[POS:...*CRC]``, or None when it is damaged.
 
     Source: ``firmware/PROTOCOL.md``: CRC-16/CCITT-FALSE of everything between the bracket and the star.
     """
     text, _, check = f"{message.name}:{message.text}".rpartition("*")
     fields = text.split("|")
-    if len(fields) < 3 or f"{crc_hqx(text.encode('latin-1', 'replace'), 0xFFFF):04X}" != check:
+    if len(fields) != _PLACE_FIELDS or f"{crc_hqx(text.encode('latin-1', 'replace'), 0xFFFF):04X}" != check:
         return None
-    return float(fields[2])
+    activity, _, substate = fields[1].partition(":")
+    homed, flags = (field.replace("-", "") for field in fields[6:8])
+    steps = read_only([float(count) for count in fields[3].split(",")])
+    return Place(activity, substate, float(fields[2]), steps, float(fields[4]), homed, flags, int(fields[8]))
 
 
 def shown(received: Received) -> str:
