@@ -12,9 +12,10 @@ from typing import Literal
 
 import numpy as np
 
+from uvgs_bench.devices.follow_link import BodyState
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.geometry.se3 import so3_exp
-from uvgs_bench.navigation.follower import FollowCommand
+from uvgs_bench.navigation.follower import FollowCommand, FollowerConfig, rest_command
 from uvgs_bench.units import ns_from_s, s_from_ns
 
 Environment = Literal["microgravity", "granite"]
@@ -75,23 +76,6 @@ class FlyerConfig:
             raise ValueError("impulses, errors and friction must not be negative")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BodyState:
-    """The body at one instant.
-
-    Args:
-        t_ns: The instant, ns.
-        world_from_body: Its pose.
-        velocity_mps: Velocity, world axes, shape (3,), m/s.
-        rate_radps: Angular velocity, body axes, shape (3,), rad/s.
-    """
-
-    t_ns: int
-    world_from_body: Pose
-    velocity_mps: FloatArray
-    rate_radps: FloatArray
-
-
 class FreeFlyer:
     """A body that obeys the commands of a follower law, and remembers where it was.
 
@@ -120,10 +104,24 @@ class FreeFlyer:
         self._inertia = np.array(config.inertia_kg_m2)
         if environment == "granite" and abs(start.world_from_body.R[1, 1] - 1.0) > 1e-9:
             raise ValueError("on the table the body must start upright")
+        self._command = rest_command(start.t_ns, FollowerConfig())
         self._states = [start]
         self._times_ns = [start.t_ns]
         self._owed_push = np.zeros(3)
         self._owed_turn = np.zeros(3)
+
+    @property
+    def has_own_time(self) -> bool:
+        """It lives when it is asked."""
+        return False
+
+    def send(self, command: FollowCommand) -> None:
+        """Obey this from ``command.t_ns`` on, until the next."""
+        self.obey(self._command, command.t_ns)
+        self._command = command
+
+    def close(self) -> None:
+        """Nothing to let go of."""
 
     @property
     def state(self) -> BodyState:
@@ -131,14 +129,15 @@ class FreeFlyer:
         return self._states[-1]
 
     def state_at(self, t_ns: int) -> BodyState:
-        """Where it was; between two steps it drifts.
+        """Where it is or was: it lives on under the last command until then; between two steps it drifts.
 
         Args:
-            t_ns: An instant up to the newest, ns; before the first it stands at its start.
+            t_ns: Any instant, ns; before the first it stands at its start.
 
         Returns:
             The state.
         """
+        self.obey(self._command, t_ns)
         i = bisect_right(self._times_ns, t_ns) - 1
         if i < 0:
             return self._states[0]
