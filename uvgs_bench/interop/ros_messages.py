@@ -365,6 +365,30 @@ def lens_from_camera_info(
         raise FormatError(str(error), source) from None
 
 
+def calibration_from_message(message: Any, source: str, *, is_rectified: bool = False) -> Calibration:
+    """The lens of a decoded ``sensor_msgs/CameraInfo`` of ROS 1 or ROS 2.
+
+    Args:
+        message: Its fields as attributes; D, K, P in capitals or not.
+        source: What it is, for errors and as the camera's name.
+        is_rectified: As in ``lens_from_camera_info``.
+
+    Returns:
+        The calibration; how sure it is, is unknown.
+
+    Raises:
+        FormatError: As ``lens_from_camera_info``.
+    """
+    d, k, p = (getattr(message, name) if hasattr(message, name) else getattr(message, name.upper()) for name in "dkp")
+    roi = message.roi
+    sizes = (message.binning_x, message.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
+    window = Window(*(int(value) for value in sizes))
+    width, height = int(message.width), int(message.height)
+    return lens_from_camera_info(
+        width, height, str(message.distortion_model), d, k, p, window, is_rectified=is_rectified, source=source
+    )
+
+
 def camera_info_from_lens(lens: Lens) -> CameraInfoFields:
     """A lens as the fields of a ``sensor_msgs/CameraInfo``, with the names calibration files have.
 

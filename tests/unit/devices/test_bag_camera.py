@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.helpers.bag_files import camera_info_note, image_note, png_note, write_bag
+from uvgs_bench.camera import Lens
 from uvgs_bench.devices.cameras import open_camera
 from uvgs_bench.errors import CaptureError, ConfigError
 
@@ -74,16 +76,21 @@ def test_pixels_are_those_of_the_message(tmp_path, encoding, data, expected, opt
     assert capture.source == "a.bag/cam#0"
 
 
-def test_compressed_images_are_decoded_and_broken_ones_named(tmp_path):
+def test_compressed_images_are_decoded_and_broken_ones_left_out_by_name(tmp_path):
     types = store()
     header = types.types["std_msgs/msg/Header"](0, types.types["builtin_interfaces/msg/Time"](1, 0), "cam")
     payload = cv2.imencode(".png", GREY)[1].ravel()
     kind = types.types["sensor_msgs/msg/CompressedImage"]
     good, broken = kind(header, "png", payload), kind(header, "png", payload[: len(payload) // 2])
-    path = write(tmp_path / "c.bag", {"/cam/compressed": [good, broken]})
+    path = write(tmp_path / "c.bag", {"/cam/compressed": [good, broken, good]})
+    with open_camera(f"bag:{path}") as camera:
+        captures = list(camera)
+        assert [capture.index for capture in captures] == [0, 1]
+        assert "c.bag/cam/compressed#1: is truncated" in camera.remarks[-1]
+    np.testing.assert_array_equal(captures[1].image, GREY)
+    path = write(tmp_path / "d.bag", {"/cam/compressed": [broken, broken]})
     camera = open_camera(f"bag:{path}")
-    np.testing.assert_array_equal(camera.grab().image, GREY)
-    with pytest.raises(CaptureError, match=r"c\.bag/cam/compressed#1: is truncated"):
+    with pytest.raises(CaptureError, match=r"no image can be read: d\.bag/cam/compressed#0: is truncated"):
         camera.grab()
     camera.close()
     camera.close()
@@ -113,11 +120,8 @@ def test_topics_are_chosen_and_mistakes_are_one_line(tmp_path):
 
 def test_unknown_encodings_and_torn_images_are_named(tmp_path):
     types = store()
-    path = write(tmp_path / "b.bag", {"/cam": [image(types, "bayer_rggb8", GREY, 1)]})
-    with (
-        open_camera(f"bag:{path}") as camera,
-        pytest.raises(CaptureError, match="'bayer_rggb8', expected one of mono8"),
-    ):
+    path = write(tmp_path / "b.bag", {"/cam": [image(types, "32FC1", GREY, 1)]})
+    with open_camera(f"bag:{path}") as camera, pytest.raises(CaptureError, match="'32FC1', expected one of mono8"):
         camera.grab()
     torn = image(types, "mono8", GREY, 1)
     torn.height = 7
@@ -128,17 +132,97 @@ def test_unknown_encodings_and_torn_images_are_named(tmp_path):
 
 
 def test_stamps_never_run_backwards(tmp_path):
-    types = store()
-    messages = [image(types, "mono8", GREY, sec) for sec in (3, 2)]
-    path = tmp_path / "back.bag"
-    with rosbag1.Writer(path) as writer:
-        connection = writer.add_connection("/cam", messages[0].__msgtype__, typestore=types)
-        for i, message in enumerate(messages):
-            writer.write(connection, (10 + i) * 10**9, types.serialize_ros1(message, message.__msgtype__))
+    def bag(name: str, stamps_ns: list[int]) -> Path:
+        notes = [image_note(GREY, t_ns, log_ns=10**10 + i) for i, t_ns in enumerate(stamps_ns)]
+        return write_bag(tmp_path, "ros1", notes, name)
+
+    second = 10**9
+    path = bag("late", [3 * second, 3 * second + 50, 3 * second + 20, 4 * second])
+    with open_camera(f"bag:{path}") as camera:
+        assert [capture.t_ns for capture in camera] == [3 * second, 3 * second + 50, 4 * second]
+        assert "#2: left out, its header stamp is earlier" in camera.remarks[-1]
+    path = bag("jump", [9 * second, 2 * second])
     with open_camera(f"bag:{path}") as camera:
         camera.grab()
-        with pytest.raises(CaptureError, match="earlier than that of the image before"):
+        with pytest.raises(CaptureError, match=r"earlier than that of the image before, by 7\.000 s; \?stamps=log"):
             camera.grab()
+    with open_camera(f"bag:{path}?stamps=log") as camera:
+        assert [capture.t_ns for capture in camera] == [10**10, 10**10 + 1]
+
+
+def test_stamps_that_were_never_set_or_lag_behind_are_said(tmp_path):
+    notes = [image_note(GREY, 0, log_ns=5 * 10**9), image_note(GREY, 0, log_ns=6 * 10**9)]
+    with open_camera(f"bag:{write_bag(tmp_path, 'mcap', notes)}") as camera:
+        assert [capture.t_ns for capture in camera] == [5 * 10**9, 6 * 10**9]
+        assert "never set" in camera.remarks[0]
+    notes = [image_note(GREY, 10**9, log_ns=2_250_000_000)]
+    with open_camera(f"bag:{write_bag(tmp_path, 'ros1', notes)}") as camera:
+        assert camera.grab().t_ns == 10**9
+        assert "recorded 1.250 s later than the header stamps" in camera.remarks[0]
+
+
+def test_mosaics_keep_their_pattern_and_several_bags_are_one(tmp_path):
+    even = GREY[:2]
+    first = image_note(even, 10**9)
+    first.fields["encoding"] = "bayer_grbg8"
+    path = write_bag(tmp_path, "db3", [first])
+    later = write_bag(tmp_path, "ros1", [image_note(even, 2 * 10**9)])
+    with open_camera(f"bag:{path},{later}") as camera:
+        captures = list(camera)
+    assert [capture.bayer for capture in captures] == ["grbg", None]
+    assert [capture.source for capture in captures] == ["a.db3/cam/image_raw#0", "a.bag/cam/image_raw#1"]
+    # The path of a bag alone will do, with or without options.
+    with open_camera(f"{path}?topic=image_raw") as camera:
+        assert camera.length == 1
+
+
+def test_topics_by_namespace_and_transport(tmp_path):
+    notes = [image_note(GREY, 1, f"/{name}/image_raw") for name in ("bumble", "queen")]
+    notes.append(png_note(GREY, 1, "/queen/image_raw/compressed"))
+    path = write_bag(tmp_path, "mcap", notes)
+    for wanted, found in (("/bumble", "/bumble"), ("queen", "/queen"), ("/queen/image_raw", "/queen")):
+        with open_camera(f"bag:{path}?topic={wanted}") as camera:
+            # The raw pictures, where the compressed ones are the same.
+            assert camera.grab().source.endswith(f"{found}/image_raw#0")
+    with pytest.raises(ConfigError, match="several topics of images"):
+        open_camera(f"bag:{path}?topic=image_raw")
+
+
+def lens(fx: float = 500.0) -> Lens:
+    return Lens("plumb_bob", 4, 3, np.array([fx, 500.0, 2.0, 1.5, 0.1, 0.0, 0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_the_lens_comes_from_the_camera_info_beside_the_pictures(tmp_path, kind):
+    other = camera_info_note(lens(900.0), 1, "/other/camera_info")
+    notes = [other, camera_info_note(lens(), 1), image_note(GREY, 1), camera_info_note(lens(), 2), image_note(GREY, 2)]
+    path = write_bag(tmp_path, kind, notes)
+    with open_camera(str(path)) as camera:
+        found = camera.camera_info()
+        np.testing.assert_array_equal(found.lens.parameters, lens().parameters)
+        assert found.covariance is None
+        assert len(list(camera)) == 2
+    with open_camera(f"bag:{path}?info=/other/camera_info") as camera:
+        assert camera.camera_info().lens.fx_px == 900.0
+    with pytest.raises(ConfigError, match="no CameraInfo '/nowhere', expected one of: /"):
+        open_camera(f"bag:{path}?info=/nowhere")
+    # A lens that is set anew on the way makes all poses after it wrong.
+    path = write_bag(tmp_path, kind, [*notes, camera_info_note(lens(510.0), 3), image_note(GREY, 3)])
+    with open_camera(f"bag:{path}") as camera:
+        camera.camera_info()
+        with pytest.raises(CaptureError, match="/cam/camera_info: changes after 2 images"):
+            list(camera)
+    with open_camera(f"bag:{path}") as camera:
+        # Nobody asked for it, so it does not matter.
+        assert len(list(camera)) == 3
+    never = camera_info_note(lens(), 1, k=np.zeros(9))
+    with (
+        open_camera(f"bag:{write_bag(tmp_path, kind, [never, image_note(GREY, 1)])}") as camera,
+        pytest.raises(CaptureError, match="never calibrated"),
+    ):
+        camera.camera_info()
+    with open_camera(f"bag:{write_bag(tmp_path, kind, [image_note(GREY, 1)])}") as camera:
+        assert camera.camera_info() is None
 
 
 @pytest.mark.shared_data

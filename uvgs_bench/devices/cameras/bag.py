@@ -1,174 +1,222 @@
-"""The pictures of a ROS bag as a camera: ROS 1 bags, ROS 2 bags in SQLite or MCAP."""
+"""The pictures of ROS bags as a camera: ROS 1 bags, ROS 2 bags in SQLite or MCAP, one or several as one."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from uvgs_bench.devices.cameras.base import ClosingSource
-from uvgs_bench.devices.cameras.images import decode_image
-from uvgs_bench.devices.cameras.spec import did_you_mean
 from uvgs_bench.devices.clock import Clock
-from uvgs_bench.errors import CaptureError, ConfigError
-from uvgs_bench.sensor.capture import Capture, ImageArray
-from uvgs_bench.units import NS_PER_S
+from uvgs_bench.errors import CaptureError, ConfigError, FormatError
+from uvgs_bench.interop import bag_topics
+from uvgs_bench.interop.bags import open_bags
+from uvgs_bench.interop.ros_messages import (
+    ENCODINGS,
+    MessageImage,
+    calibration_from_message,
+    image_from_compressed,
+    image_from_message,
+)
+from uvgs_bench.sensor.capture import Capture
+from uvgs_bench.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
+    from uvgs_bench.camera.calibration import Calibration
     from uvgs_bench.devices.cameras.spec import CameraSpec
+    from uvgs_bench.interop.bag_file import BagMessage
+    from uvgs_bench.interop.bags import Bags
 
-_KINDS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-# By encoding: bytes of a channel, channels, and whether red comes first.
-_ENCODINGS: dict[str, tuple[int, int, bool]] = {
-    "mono8": (1, 1, False),
-    "8UC1": (1, 1, False),
-    "mono16": (2, 1, False),
-    "16UC1": (2, 1, False),
-    "bgr8": (1, 3, False),
-    "8UC3": (1, 3, False),
-    "rgb8": (1, 3, True),
-    "bgra8": (1, 4, False),
-    "rgba8": (1, 4, True),
-}
-_ZSTD = b"\x28\xb5\x2f\xfd"
+# A recorder that is this late says so; less is transport.
+_LATE_NS = NS_PER_S // 2
+# Transport may exchange neighbours; a clock that is set jumps further.
+_JUMP_NS = NS_PER_S
+# More lines than this about single pictures help nobody.
+_MOST_REMARKS = 5
 
 
 class BagImages(ClosingSource):
     """Image messages of one topic in order, stamped as their headers say.
 
+    Pictures that cannot be read, or come a little late, are left out and named in ``remarks``.
+
     Args:
         spec: The spec string, for messages.
-        path: The bag.
-        reader: An open ``rosbags.highlevel.AnyReader``.
-        topic: The topic.
+        bags: The open bags.
+        topic: The topic of the pictures.
+        info_topic: The topic of the camera's ``CameraInfo``, or None.
+        is_log_time: Whether the bags' own times are taken instead of the headers'.
     """
 
-    def __init__(self, spec: str, path: Path, reader: Any, topic: str) -> None:
-        self._connections = [found for found in reader.connections if found.topic == topic]
-        super().__init__(spec, is_live=False, length=sum(found.msgcount for found in self._connections))
-        self._path = path
-        self._reader: Any | None = reader
+    def __init__(self, spec: str, bags: Bags, topic: str, info_topic: str | None, *, is_log_time: bool) -> None:
+        super().__init__(spec, is_live=False, length=bags.counts[topic])
+        self._bags: Bags | None = bags
         self._topic = topic
-        self._messages: Iterator[Any] = iter(reader.messages(connections=self._connections))
-        self._next = 0
+        self._info_topic = info_topic
+        self._info: tuple[object, ...] | None = None
+        self._messages: Iterator[BagMessage] | None = None
+        self._is_log_time = is_log_time
+        self._own_remarks: list[str] = []
+        self._bag_remarks: tuple[str, ...] = ()
+        self._next = self._seen = self._torn = self._late = 0
         self._last_ns = -1
 
     @classmethod
     def open(cls, spec: CameraSpec, _clock: Clock) -> BagImages:
-        """Open ``bag:FILE``, with the option ``topic`` where the bag has several topics of images.
+        """Open ``bag:PATH`` or ``bag:PATH,PATH`` with the options ``topic``, ``info`` and ``stamps`` (header or log).
 
         Raises:
-            CaptureError: The file is missing, is no bag, or holds no images.
+            CaptureError: A bag is missing, is none, or holds no images.
             ConfigError: An option is unknown, the topic is none of the bag's, or one must be chosen.
         """
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-
-        spec.check_options(("topic",))
-        path = Path(spec.target)
-        if not spec.target or not path.exists():
-            raise CaptureError("no such file, expected a ROS bag", spec.target or spec.text)
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        spec.check_options(("topic", "info", "stamps"))
+        stamps = spec.options.get("stamps", "header")
+        if stamps not in ("header", "log"):
+            raise ConfigError(f"expected stamps=header or stamps=log, got '{stamps}'", spec.text)
+        if not spec.target:
+            raise ConfigError("name the bag, bag:FILE", spec.text)
+        is_one = Path(spec.target).exists() or "," not in spec.target
         try:
-            reader.open()
-        except Exception as error:  # the reader has no common base of errors, and broken bags raise many
-            raise CaptureError(f"is no ROS bag that can be read: {_line(error)}", str(path)) from None
+            bags = open_bags([spec.target] if is_one else [name for name in spec.target.split(",") if name])
+        except FormatError as error:
+            raise CaptureError(str(error)) from None
         try:
-            topic = _chosen_topic(reader, spec, path)
-        except (CaptureError, ConfigError):
-            reader.close()
+            topic = bag_topics.choose_image_topic(bags.types, bags.counts, spec.options.get("topic", ""), spec.text)
+            info = spec.options.get("info") or bag_topics.camera_info_topic(bags.types, bags.counts, topic)
+            if info is not None and bags.types.get(info) != bag_topics.CAMERA_INFO:
+                there = [name for name, kind in bags.types.items() if kind == bag_topics.CAMERA_INFO]
+                raise ConfigError(f"no CameraInfo '{info}', expected one of: {', '.join(there) or 'none'}", spec.text)
+        except FormatError as error:
+            bags.close()
+            raise CaptureError(str(error).removeprefix(f"{spec.text}: "), spec.target) from None
+        except ConfigError:
+            bags.close()
             raise
-        return cls(spec.text, path, reader, topic)
+        return cls(spec.text, bags, topic, info, is_log_time=stamps == "log")
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was damaged, left out or looked wrong so far; grows while captures are read."""
+        if self._bags is not None:
+            self._bag_remarks = self._bags.remarks
+        return (*self._bag_remarks, *self._own_remarks)
+
+    def camera_info(self) -> Calibration | None:
+        """The lens the camera's ``CameraInfo`` says; from then on a change of it is an error.
+
+        Returns:
+            The calibration without doubt; None when the bag has no ``CameraInfo`` in the pictures' namespace.
+
+        Raises:
+            CaptureError: The camera was never calibrated, or its numbers are none of a known lens.
+        """
+        if self._bags is None or self._info_topic is None:
+            return None
+        for message in self._bags.messages([self._info_topic]):
+            try:
+                self._info = _info_key(message.decode())
+                return calibration_from_message(
+                    message.decode(), self._info_topic, is_rectified=bag_topics.is_rectified(self._topic)
+                )
+            except FormatError as error:
+                raise CaptureError(str(error)) from None
+        return None
 
     def grab(self) -> Capture | None:
         """The next image, or None after the last.
 
         Raises:
-            CaptureError: A message is broken, of an unknown encoding, or earlier than the one before.
+            CaptureError: The encoding is unknown, the stamps jump back, the lens changes, or no image can be read.
         """
-        if self._reader is None:
+        if self._bags is None:
             return None
-        name = f"{self._path.name}{self._topic}#{self._next}"
-        try:
-            connection, _, raw = next(self._messages)
-            message = _message(self._reader, connection, bytes(raw))
-        except StopIteration:
-            self.close()
-            return None
-        except Exception as error:  # as above
-            raise CaptureError(f"cannot be read: {_line(error)}", name) from None
-        stamp = message.header.stamp
-        t_ns = int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
-        if t_ns < self._last_ns:
-            raise CaptureError("its header stamp is earlier than that of the image before", name)
-        self._last_ns = t_ns
-        is_packed = _normal(connection.msgtype) == _KINDS[1]
-        image = decode_image(bytes(message.data), name) if is_packed else _pixels(message, name)
-        capture = Capture(image, t_ns, name, self._next)
-        self._next += 1
-        return capture
+        if self._messages is None:
+            watched = [self._topic] if self._info is None else [self._topic, self._info_topic or ""]
+            self._messages = self._bags.messages(watched)
+        for message in self._messages:
+            if message.channel.topic != self._topic:
+                self._check_info(message)
+                continue
+            name = f"{message.file.path.name}{self._topic}#{self._seen}"
+            self._seen += 1
+            try:
+                fields = message.decode()
+                image = self._image(fields, message, name)
+            except FormatError as error:
+                self._torn += 1
+                self._say(str(error), self._torn)
+                first_problem = self._own_remarks[0] if self._next == 0 else ""
+                if self._seen == self.length and first_problem:
+                    self.close()
+                    raise CaptureError(f"no image can be read: {first_problem}") from None
+                continue
+            t_ns = self._stamp_ns(fields, message.log_ns)
+            if t_ns < self._last_ns:
+                back_ns = self._last_ns - t_ns
+                said = f"header stamp is earlier than that of the image before, by {s_from_ns(back_ns):.3f} s"
+                if back_ns >= _JUMP_NS:
+                    raise CaptureError(f"its {said}; ?stamps=log takes the bag's own times", name)
+                self._late += 1
+                self._say(f"{name}: left out, its {said}", self._late)
+                continue
+            self._last_ns = t_ns
+            capture = Capture(image.image, t_ns, name, self._next, bayer=image.bayer)
+            self._next += 1
+            return capture
+        self.close()
+        return None
 
     def close(self) -> None:
-        """Release the file. Safe to call twice."""
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
+        """Release the files. Safe to call twice."""
+        if self._bags is not None:
+            self._bag_remarks = self._bags.remarks
+            self._bags.close()
+            self._bags = None
+
+    def _image(self, fields: Any, message: BagMessage, name: str) -> MessageImage:
+        if message.channel.msgtype == bag_topics.COMPRESSED:
+            return image_from_compressed(str(fields.format), fields.data, name)
+        if fields.encoding not in ENCODINGS:
+            # No other picture of this topic will be better.
+            raise CaptureError(f"has encoding '{fields.encoding}', expected one of {', '.join(ENCODINGS)}", name)
+        size = int(fields.width), int(fields.height), int(fields.step)
+        return image_from_message(str(fields.encoding), *size, fields.is_bigendian, fields.data, name)
+
+    def _stamp_ns(self, fields: Any, log_ns: int) -> int:
+        stamp = fields.header.stamp
+        t_ns = int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+        if self._next == 0 and not self._is_log_time:
+            if t_ns == 0:
+                self._is_log_time = True
+                self._own_remarks.append(f"{self._topic}: header stamps were never set, the bag's own times are taken")
+            elif abs(log_ns - t_ns) > _LATE_NS:
+                late_s = s_from_ns(log_ns - t_ns)
+                word = "later" if late_s > 0.0 else "earlier"
+                self._own_remarks.append(
+                    f"{self._topic}: recorded {abs(late_s):.3f} s {word} than the header stamps, which the poses carry"
+                )
+        return log_ns if self._is_log_time else t_ns
+
+    def _check_info(self, message: BagMessage) -> None:
+        try:
+            is_same = _info_key(message.decode()) == self._info
+        except FormatError as error:
+            raise CaptureError(str(error)) from None
+        if not is_same:
+            said = f"changes after {self._next} images; give the lens of each part with --camera"
+            raise CaptureError(said, f"{message.file.path.name}{self._info_topic}")
+
+    def _say(self, text: str, count: int) -> None:
+        if count <= _MOST_REMARKS:
+            self._own_remarks.append(text)
+        elif count == _MOST_REMARKS + 1:
+            self._own_remarks.append(f"{self._topic}: and more of that kind")
 
 
-def _chosen_topic(reader: Any, spec: CameraSpec, path: Path) -> str:
-    topics: list[str] = sorted({found.topic for found in reader.connections if _normal(found.msgtype) in _KINDS})
-    if not topics:
-        kinds = sorted({found.msgtype for found in reader.connections})
-        raise CaptureError(f"holds no images, only {', '.join(kinds) or 'nothing'}", str(path))
-    wanted = spec.options.get("topic", "")
-    if not wanted:
-        if len(topics) > 1:
-            raise ConfigError(f"several topics of images, say ?topic= one of: {', '.join(topics)}", spec.text)
-        return topics[0]
-    if wanted not in topics:
-        raise ConfigError(f"no topic '{wanted}' of images{did_you_mean(wanted, tuple(topics))}", spec.text)
-    return wanted
-
-
-def _message(reader: Any, connection: Any, raw: bytes) -> Any:
-    """A message, unpacked first where each message was compressed on its own."""
-    if raw.startswith(_ZSTD):
-        # The reader's own dependency: part of the standard library from Python 3.14 on.
-        module = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
-        raw = import_module(module).decompress(raw)
-    store, msgtype = reader.typestore, _normal(connection.msgtype)
-    return store.deserialize_cdr(raw, msgtype) if reader.is2 else store.deserialize_ros1(raw, msgtype)
-
-
-def _normal(msgtype: str) -> str:
-    """A type name with its middle part, which some writers leave out."""
-    package, _, name = msgtype.rpartition("/")
-    return msgtype if package.endswith("/msg") else f"{package}/msg/{name}"
-
-
-def _pixels(message: Any, name: str) -> ImageArray:
-    """The pixels of a raw image, mono or BGR."""
-    known = _ENCODINGS.get(message.encoding)
-    if known is None:
-        raise CaptureError(f"has encoding '{message.encoding}', expected one of {', '.join(_ENCODINGS)}", name)
-    size, channels, is_red_first = known
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    data = np.asarray(message.data, dtype=np.uint8)
-    used = width * channels * size
-    if width < 1 or height < 1 or step < used or data.size < height * step:
-        said = f"{width}x{height} px of {message.encoding} in rows of {step} bytes"
-        raise CaptureError(f"says {said}, but holds {data.size} bytes", name)
-    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :used])
-    kind = np.dtype(np.uint8 if size == 1 else ">u2" if message.is_bigendian else "<u2")
-    image: Any = rows.view(kind).reshape(height, width, channels)
-    image = image[:, :, 2::-1] if is_red_first else image[:, :, :3]
-    plain = image[:, :, 0] if channels == 1 else image
-    return cast("ImageArray", np.ascontiguousarray(plain, dtype=np.uint8 if size == 1 else np.uint16))
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+def _info_key(fields: Any) -> tuple[object, ...]:
+    """What makes the lens of a ``CameraInfo``."""
+    said = [getattr(fields, name) if hasattr(fields, name) else getattr(fields, name.upper()) for name in "dkrp"]
+    numbers = [tuple(float(value) for value in values) for values in said]
+    roi = fields.roi
+    window = (fields.binning_x, fields.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
+    return (fields.width, fields.height, fields.distortion_model, *numbers, *window)

@@ -6,6 +6,7 @@ To add a source see ``source.py``. Its class has ``open(spec, clock)`` and is im
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 
 from uvgs_bench.devices.cameras.source import CameraSource
 from uvgs_bench.devices.cameras.spec import CameraSpec, did_you_mean
@@ -28,11 +29,29 @@ CAMERAS: dict[str, str] = {
 """Scheme -> ``module:Class``."""
 
 
+def is_bag_path(spec: str) -> bool:
+    """Whether a spec is the path of a bag that is there, with or without options.
+
+    Args:
+        spec: What the user wrote.
+
+    Returns:
+        Whether ``bag:`` is meant.
+    """
+    if spec.partition(":")[0] in CAMERAS:
+        return False
+    from uvgs_bench.interop.bags import is_bag
+
+    path = Path(spec.partition("?")[0])
+    return path.exists() and is_bag(path)
+
+
 def open_camera(spec: str, *, clock: Clock | None = None) -> CameraSource:
     """Open a camera or a recording.
 
     Args:
-        spec: ``images:FOLDER?glob=*.png``, ``video:FILE``, ``bag:FILE?topic=/camera``, ``uvc:0`` or ``sim:NAME``.
+        spec: ``images:FOLDER?glob=*.png``, ``video:FILE``, ``bag:FILE?topic=/camera``, ``uvc:0`` or ``sim:NAME``; the
+            path of a bag alone will do.
         clock: The bench clock that stamps a live camera's captures; the machine's monotonic clock when None.
 
     Returns:
@@ -42,7 +61,7 @@ def open_camera(spec: str, *, clock: Clock | None = None) -> CameraSource:
         ConfigError: The scheme or an option is unknown.
         CaptureError: It cannot be opened.
     """
-    parsed = CameraSpec.parse(spec)
+    parsed = CameraSpec.parse(f"bag:{spec}" if is_bag_path(spec) else spec)
     if parsed.scheme not in CAMERAS:
         known = tuple(CAMERAS)
         raise ConfigError(f"unknown kind of camera '{parsed.scheme}'{did_you_mean(parsed.scheme, known)}", spec)

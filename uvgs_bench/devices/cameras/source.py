@@ -14,9 +14,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isclose
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 from uvgs_bench.sensor.capture import Capture
+
+if TYPE_CHECKING:
+    from uvgs_bench.camera.calibration import Calibration
 
 
 class CameraSource(Protocol):
@@ -57,6 +60,25 @@ class CameraSource(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close."""
+        ...
+
+
+@runtime_checkable
+class Remarking(Protocol):
+    """What a recorded source has besides when parts of it may be damaged or doubtful without being useless."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What there is to say so far, a line each; grows while captures are read."""
+        ...
+
+
+@runtime_checkable
+class CarriesCamera(Protocol):
+    """What a recorded source has besides when it may say the lens its pictures were taken with."""
+
+    def camera_info(self) -> Calibration | None:
+        """The lens as it says; None when it does not. Raises CaptureError when that is no lens."""
         ...
 
 
