@@ -14,6 +14,7 @@ from uvgs_bench.accuracy.cause_signatures import Signature, signatures
 from uvgs_bench.accuracy.observations import Mount
 
 NAMES = ("bottom", "left", "right", "apex")
+ALL = tuple(range(len(NAMES)))
 
 
 def quiet_bench(mount: Mount = "beacon_on_carriage") -> BlindBench:
@@ -71,7 +72,7 @@ def test_signature_is_what_the_planted_cause_does(
     obs = seen(bench)
     assert obs.is_solved.all()
     moved = pose_residuals(obs, *registration.predict(obs))
-    found = of_cause(signatures(obs, registration, clean.lens, clean.leds_m, NAMES), cause)[number]
+    found = of_cause(signatures(obs, registration, clean.lens, clean.leds_m, NAMES, ALL), cause)[number]
     column = index % 3 if found.effect.shape[2] == 3 else 0
     expected = found.effect[:, :, column] * size
     # First order: what is left is of the order of the size squared, and the solver's last step.
@@ -88,6 +89,6 @@ def test_causes_the_captures_were_not_exposed_to_are_left_out() -> None:
     bench = quiet_bench()
     obs = seen(bench)
     still = replace(obs, velocity_gs_mps=np.zeros((obs.count, 3)), approach=np.ones((obs.count, 3), dtype=np.int8))
-    causes = {s.cause for s in signatures(still, true_registration(bench), bench.lens, bench.leds_m, NAMES)}
+    causes = {s.cause for s in signatures(still, true_registration(bench), bench.lens, bench.leds_m, NAMES, ALL)}
     assert not causes & {"latency", "backlash", "saturation"}
     assert {"axis_scale", "focal_length", "led_offset", "slip", "drift"} <= causes

@@ -396,4 +396,5 @@ def _answered(
         is_saturated=is_saturated,
         rms_px=read_only(np.where(is_solved, np.sqrt(squares / (2 * L)), np.nan)),
         blob_count=np.where(is_seen, L, 0).astype(np.int64),
+        led_px=read_only(np.where(is_seen[:, None, None], px, np.nan)),
     )

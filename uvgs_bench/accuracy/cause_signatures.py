@@ -54,7 +54,12 @@ class Signature:
 
 
 def signatures(
-    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+    obs: Observations,
+    registration: Registration,
+    lens: Lens,
+    leds_m: FloatArray,
+    led_names: tuple[str, ...],
+    blamed: tuple[int, ...],
 ) -> tuple[Signature, ...]:
     """Signatures of all causes that could show in these captures.
 
@@ -64,12 +69,13 @@ def signatures(
         lens: The lens the sensor was told.
         leds_m: LED positions it was told, beacon frame, shape (L, 3), m.
         led_names: Names of the LEDs, length L.
+        blamed: Numbers of the LEDs that may be misplaced.
 
     Returns:
         The signatures; causes the captures were not exposed to (no motion, one approach) are left out.
     """
     found = _of_gantry(obs, registration) + _of_time(obs, registration)
-    found += _of_sensor(obs, registration, lens, leds_m, led_names)
+    found += _of_sensor(obs, registration, lens, leds_m, {k: led_names[k] for k in blamed})
     counts = {s.cause: sum(o.cause == s.cause for o in found) for s in found}
     return tuple(
         Signature(s.cause, s.title, s.unit, s.per_unit, s.effect, s.sign, s.check, counts[s.cause])
@@ -178,7 +184,7 @@ def _of_time(obs: Observations, registration: Registration) -> list[Signature]:
 
 
 def _of_sensor(
-    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: dict[int, str]
 ) -> list[Signature]:
     N, L = obs.count, len(leds_m)
     # At the predicted poses: at the found ones signatures would go with the noise.
@@ -241,7 +247,7 @@ def _of_sensor(
             "pose errors follow the attitude and range in which the beacon is seen, whatever the gantry does",
             f"measure the beacon again (uvgs beacon measure), LED {name} first; turn it by 90 degrees and repeat",
         )
-        for k, name in enumerate(led_names)
+        for k, name in led_names.items()
     ]
     found.append(
         Signature(

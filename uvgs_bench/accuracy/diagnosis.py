@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from uvgs_bench.accuracy.bench_model import gantry_covariance, pose_residuals
 from uvgs_bench.accuracy.cause_signatures import Signature, is_turned_away, signatures
 from uvgs_bench.accuracy.least_squares import usual_distance
+from uvgs_bench.accuracy.led_evidence import blamed_leds
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_sensitivity import pose_pixel_jacobian
 from uvgs_bench.accuracy.registration import Registration
@@ -64,8 +65,9 @@ def diagnose(
         explains, are set aside for the search and counted in the evidence. Fewer than ``LEAST_VISITS`` visits with a
         pose say nothing by their residuals.
     """
-    found = () if registration is None else _by_residuals(obs, registration, lens, leds_m, led_names)
-    refused = of_refusals(obs)
+    blamed = blamed_leds(obs, lens, leds_m)
+    found = () if registration is None else _by_residuals(obs, registration, lens, leds_m, led_names, blamed)
+    refused = of_refusals(obs, tuple(led_names[k] for k in blamed))
     if refused is not None and all(suspect.cause != refused.cause for suspect in found):
         # When most captures are refused, the poses of the others are what the same cause has left of them.
         found = (refused, *found) if 2 * int(obs.is_solved.sum()) < obs.count else (*found, refused)
@@ -73,7 +75,12 @@ def diagnose(
 
 
 def _by_residuals(
-    obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+    obs: Observations,
+    registration: Registration,
+    lens: Lens,
+    leds_m: FloatArray,
+    led_names: tuple[str, ...],
+    blamed: tuple[int, ...],
 ) -> tuple[Suspect, ...]:
     """Suspects by what the poses say."""
     data = obs.select(obs.is_solved)
@@ -90,7 +97,7 @@ def _by_residuals(
     for _ in range(_CLEANINGS):
         if len(np.unique(kept.station)) < LEAST_VISITS:
             return wrong
-        possible = signatures(kept, registration, lens, leds_m, led_names)
+        possible = signatures(kept, registration, lens, leds_m, led_names, blamed)
         search = _Search(kept, registration, lens, leds_m, possible)
         strays = search.stray_places()
         if len(strays) == 0:
@@ -156,7 +163,7 @@ class _Search:
         """The search: the best cause, then the best for what it leaves, until nothing stands out."""
         basis, left = self.basis, self.left
         chosen: list[int] = []
-        found: list[tuple[float, float, tuple[str, ...]]] = []
+        found: list[tuple[float, float, list[Signature]]] = []
         open_ones = list(range(len(self.possible)))
         while open_ones and len(chosen) < _MOST_SUSPECTS:
             gains = {k: self._gain(basis, left, k) for k in open_ones}
@@ -179,8 +186,8 @@ class _Search:
             ]
             chosen.append(best)
             # Of each other cause the likeliest.
-            titles = {self.possible[k].cause: self.possible[k].title for k in reversed(like)}
-            found.append((chances[best], gains[best], tuple(reversed(titles.values()))))
+            others = {self.possible[k].cause: self.possible[k] for k in reversed(like)}
+            found.append((chances[best], gains[best], list(reversed(others.values()))))
             basis, left = with_best, rest
             # Another instant, LED or axis of the same cause may still be named, but not one the first has used up.
             open_ones = [k for k in open_ones if k != best and not (cause == "slip" == self.possible[k].cause)]
@@ -205,7 +212,7 @@ class _Search:
         return count * float(np.log(self.count))
 
     def _described(
-        self, chosen: list[int], found: list[tuple[float, float, tuple[str, ...]]], aside: int
+        self, chosen: list[int], found: list[tuple[float, float, list[Signature]]], aside: int
     ) -> tuple[Suspect, ...]:
         from scipy.stats import t as student
 
@@ -239,9 +246,10 @@ class _Search:
                     high=(estimate + half) * signature.per_unit,
                     unit=signature.unit,
                     evidence=f"{signature.sign}; it explains {gain / total:.0%} of the squared residuals{without}",
-                    check=signature.check,
+                    check="; ".join([signature.check, *(f"or {other.check}" for other in like)]),
                     rank=place + 1,
-                    alternatives=like,
+                    alternatives=tuple(other.title for other in like),
+                    alternative_causes=tuple(other.cause for other in like),
                 )
             )
         return tuple(suspects)

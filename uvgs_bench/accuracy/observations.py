@@ -55,6 +55,8 @@ class Observations:
             (N, 6, 6), rad and m; NaN where it was not stated.
         calibration_covariance: What the doubt of the lens adds to ``covariance``, the same error in every capture,
             shape (N, 6, 6), rad and m; NaN where it was not stated.
+        led_px: Where each LED of the beacon was seen, also in fits that were refused, shape (N, L, 2), px; NaN where
+            it was not, and L = 0 where that is not known.
     """
 
     station: NDArray[np.int64]
@@ -79,6 +81,7 @@ class Observations:
     blob_count: NDArray[np.int64] = field(default_factory=_no_integers)
     beacon_covariance: FloatArray = field(default_factory=_no_floats)
     calibration_covariance: FloatArray = field(default_factory=_no_floats)
+    led_px: FloatArray = field(default_factory=_no_floats)
 
     def __post_init__(self) -> None:
         N = len(self.station)
@@ -93,6 +96,7 @@ class Observations:
             "blob_count": np.broadcast_to(np.int64(0), (N,)),
             "beacon_covariance": np.broadcast_to(np.nan, (N, 6, 6)),
             "calibration_covariance": np.broadcast_to(np.nan, (N, 6, 6)),
+            "led_px": np.broadcast_to(np.nan, (N, 0, 2)),
         }
         for name, values in neutral.items():
             if len(getattr(self, name)) == 0 and N:

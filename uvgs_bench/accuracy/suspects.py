@@ -38,6 +38,7 @@ class Suspect:
         check: What would confirm it, one line.
         rank: 1 for the likeliest.
         alternatives: Titles of causes these data cannot tell from it.
+        alternative_causes: Their words, in the same order.
     """
 
     cause: str
@@ -52,6 +53,7 @@ class Suspect:
     check: str
     rank: int
     alternatives: tuple[str, ...] = ()
+    alternative_causes: tuple[str, ...] = ()
 
 
 def of_turned_poses(obs: Observations, turned: NDArray[np.bool_]) -> Suspect:
@@ -78,11 +80,12 @@ def of_turned_poses(obs: Observations, turned: NDArray[np.bool_]) -> Suspect:
     )
 
 
-def of_refusals(obs: Observations) -> Suspect | None:
+def of_refusals(obs: Observations, blamed: tuple[str, ...]) -> Suspect | None:
     """LEDs that fit no pose: a sensor that refuses more than chance may.
 
     Args:
         obs: Captures, misses included.
+        blamed: Names of the LEDs that the pixels do not clear.
 
     Returns:
         The suspect, or None when few fits were refused.
@@ -94,14 +97,21 @@ def of_refusals(obs: Observations) -> Suspect | None:
     chance = float(binom.sf(count - 1, tried, _CHANCE)) if count else 1.0
     if count < _LEAST_SHARE * tried or chance > _RARE:
         return None
+    title = "the LEDs fit no pose: one of them is not where the beacon file says"
+    evidence = f"{count} of {tried} fits were refused because lens and beacon cannot explain where the LEDs are seen"
+    check = "measure the beacon again (uvgs beacon measure), and look at the overlays of refused captures"
+    if len(blamed) == 1:
+        title = f"the LEDs fit no pose: LED {blamed[0]} is not where the beacon file says"
+        evidence += f"; moving LED {blamed[0]} alone explains most of it"
+        check = f"measure the beacon again (uvgs beacon measure), LED {blamed[0]} first"
     return _counted(
         "led_offset",
-        "the LEDs fit no pose: one of them is not where the beacon file says",
+        title,
         chance,
         count,
         tried,
-        f"{count} of {tried} fits were refused because lens and beacon cannot explain where the LEDs are seen",
-        "measure the beacon again (uvgs beacon measure), and look at the overlays of refused captures",
+        evidence,
+        check,
         ("a light that is no LED of the beacon, or exchanged LEDs", "a lens that is not the camera's"),
     )
 

@@ -100,6 +100,8 @@ class Miss:
         beacon: Name of the beacon.
         blob_count: Number of candidate blobs when it stopped.
         stage_s: Duration of each stage, s, by stage name.
+        led_px: Centres of the LEDs of a fit that was refused, in the order of the beacon's LEDs, shape (n, 2), px; NaN
+            if unseen. None when none were named.
     """
 
     stage: str
@@ -109,6 +111,7 @@ class Miss:
     beacon: str
     blob_count: int = 0
     stage_s: dict[str, float] = field(default_factory=dict)
+    led_px: FloatArray | None = None
 
 
 Outcome = PoseEstimate | Miss

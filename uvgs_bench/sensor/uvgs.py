@@ -123,7 +123,7 @@ class Uvgs:
             return estimate
         lap("validate")
         stage = "solve" if refusal.reason == "not_converged" else "validate"
-        return miss(stage, refusal.reason, refusal.detail, len(chosen))
+        return replace(miss(stage, refusal.reason, refusal.detail, len(chosen)), led_px=fit.led_px)
 
     def _fit(self, chosen: Blobs, match: LedMatch, prior: PoseEstimate | None) -> Fit:
         """Fit the named LEDs without those an unseen one may shine into; refused when too few are left."""
