@@ -19,3 +19,12 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars.")]
 BenchFile = Annotated[Path, typer.Option("--bench", help="Bench file: camera, beacon, gantry and mount.")]
 
 DEFAULT_BENCH = Path("calib/bench.toml")
+
+
+def given_options(context: typer.Context) -> frozenset[str]:
+    """Names of the parameters that were written on the command line."""
+    return frozenset(
+        name
+        for name in context.params
+        if (where := context.get_parameter_source(name)) is not None and where.name == "COMMANDLINE"
+    )

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from uvgs_bench.cli.options import Force, Json, Quiet
+from uvgs_bench.cli.options import Force, Json, Quiet, given_options
 from uvgs_bench.errors import ExitCode
 
 _BEACONS = "Several beacons"
@@ -18,13 +18,21 @@ _OUTPUT = "Output"
 
 
 def run(
+    context: typer.Context,
     source: Annotated[
         str,
         typer.Argument(
-            help="images:DIR, video:FILE, bag:FILE, uvc:0, rtsp://..., sim:BENCH.toml?count=N, or a run folder."
+            help="images:DIR, video:FILE, bag:FILE, uvc:0, rtsp://..., sim:BENCH.toml?count=N, a run folder, or a file "
+            "of --record."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", help="Pose file: .csv (misses included), .tum or .jsonl.")],
+    out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--out",
+            help="Poses: .csv and .jsonl (misses included), .tum, .bag (ROS 1), .mcap (ROS 2). May be repeated.",
+        ),
+    ] = None,
     camera: Annotated[Path | None, typer.Option("--camera", help="Calibration; a run folder has its own.")] = None,
     beacon: Annotated[
         list[Path] | None, typer.Option("--beacon", help="Beacon; may be repeated. A run folder has its own.")
@@ -99,6 +107,45 @@ def run(
             help="How long to wait for a live camera that was lost; 0 ends at the first loss.",
         ),
     ] = 60.0,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            help="Keep everything in one .mcap, pictures too; uvgs run FILE.mcap solves it again.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    compression: Annotated[
+        Literal["none", "bz2", "zstd"] | None,
+        typer.Option("--compression", help="bz2 of .bag, zstd of .mcap; records have zstd.", rich_help_panel=_OUTPUT),
+    ] = None,
+    annotated: Annotated[
+        bool,
+        typer.Option("--annotated", help="Bags get pictures of what the sensor saw.", rich_help_panel=_OUTPUT),
+    ] = False,
+    astrobee: Annotated[
+        Literal["v1", "v2"] | None,
+        typer.Option(
+            "--astrobee",
+            help="Bags get ff_msgs/VisualLandmarks: v1, or v2 with the field runtime.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    udp: Annotated[
+        str | None,
+        typer.Option(
+            "--udp", metavar="HOST:PORT", help="One JSON datagram per capture, misses too.", rich_help_panel=_OUTPUT
+        ),
+    ] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--rate-hz",
+            min=0.001,
+            help="Most answers a second for --udp; files get all of them.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
     timing: Annotated[
         bool, typer.Option("--timing", help="Show how long each stage took, as histograms.", rich_help_panel=_OUTPUT)
     ] = False,
@@ -117,9 +164,10 @@ def run(
     """Solve every capture and write its pose, or why there is none. Ctrl-C keeps what was written."""
     from time import monotonic_ns, perf_counter
 
+    from uvgs_bench.cli import run_record
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.cli.run_commands import standard_input_names
-    from uvgs_bench.cli.run_outlets import open_outlets
+    from uvgs_bench.cli.run_outlets import OutletOptions, open_outlets
     from uvgs_bench.cli.run_setup import exposure_loop, handover_policy, open_captures, read_setup, recorded_run
     from uvgs_bench.cli.run_summary import show_summary
     from uvgs_bench.sensor.difference import DifferenceConfig
@@ -131,23 +179,41 @@ def run(
     from uvgs_bench.sessions.tally import Tally
     from uvgs_bench.units import s_from_ns
 
+    options = OutletOptions(tuple(out or ()), compression, annotated, astrobee, udp, rate_hz, debug_images, force)
+    options.check(record)
     is_interrupted = False
     with ExitStack() as stack:
-        recorded = recorded_run(source)
-        calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config)
+        sink = stack.enter_context(progress_sink(quiet=quiet))
+        again = run_record.recording_of(source, stack, sink)
+        recorded = recorded_run(source) if again is None else None
+        own = None if again is None else again.setup
+        calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config, own)
         names = tuple(lights.name for lights in beacons)
         policy = handover_policy(handover, zone_m or [], hold_s, names, active)
-        sink = stack.enter_context(progress_sink(quiet=quiet))
-        opened = open_captures(source, recorded, stack, sink, reconnect_s)
+        rules = StreamRules(limit, track, threads, policy, active, DifferenceConfig() if difference else None)
+        if again is not None:
+            rules = run_record.replayed_rules(rules, again, given_options(context))
+            opened = run_record.replayed(again)
+        else:
+            opened = open_captures(source, recorded, stack, sink, reconnect_s)
+        recorder = None
+        if record is not None:
+            recorder, opened = run_record.open_recorder(record, opened, compression, stack, force=force)
         sensors = {lights.name: Uvgs(calibration, lights, parameters, clock=perf_counter) for lights in beacons}
-        loop = exposure_loop(opened.exposure, source, sensors, max_exposure_ms) if auto_exposure else None
+        loop = None if again is None else run_record.replayed_exposure(again, sensors)
+        if auto_exposure and loop is None:
+            loop = exposure_loop(opened.exposure, source, sensors, max_exposure_ms)
         setup = StreamSetup(source, calibration, tuple(beacons), parameters, sensors)
-        outlets = open_outlets(stack, setup, out=out, debug_images=debug_images, force=force)
+        outlets = open_outlets(stack, setup, options, sink, () if recorder is None else (recorder,))
+        if recorder is not None:
+            run_record.begin_record(recorder, setup, rules, opened, loop)
         stack.enter_context(interruptible())
         sink(Remark("info", "loading compiled kernels"))
         tally = Tally(names)
-        rules = StreamRules(limit, track, threads, policy, active, DifferenceConfig() if difference else None)
-        command = standard_input_names() if handover == "command" and len(names) > 1 else None
+        command = None
+        if rules.handover.mode == "command":
+            command = standard_input_names() if again is None else again.command
+            command = run_record.kept_command(recorder, command)
         try:
             for uvgs in sensors.values():
                 uvgs.warm_up()
@@ -161,14 +227,13 @@ def run(
                 total=opened.total,
                 exposure=loop,
                 command=command,
-                flags_of=None if opened.live is None else opened.live.flags_of,
-                is_live=opened.live is not None,
+                flags_of=opened.flags_of,
+                is_live=opened.is_live,
             )
             for answered in stream:
                 if opened.live is not None:
                     tally.add_latency(s_from_ns(monotonic_ns() - answered.capture.t_ns))
-                for outlet in outlets:
-                    outlet.put(answered)
+                outlets.put(answered)
                 for name, (outcome, note) in answered.lines.items():
                     tally.add(name, outcome, note.flags, is_active=note.is_active)
                 tally.captures += 1
@@ -177,9 +242,17 @@ def run(
             is_interrupted = True
     if opened.live is not None:
         tally.dropped, tally.gaps_s = opened.live.dropped, tuple(opened.live.gaps_s)
-    paths = [path for outlet in outlets for path in outlet.paths]
-    show_summary(tally, paths, timing=timing or opened.live is not None, as_json=as_json, is_interrupted=is_interrupted)
+    show_summary(
+        tally,
+        outlets.paths,
+        timing=timing or opened.live is not None,
+        as_json=as_json,
+        is_interrupted=is_interrupted,
+        failures=outlets.failures,
+    )
     if is_interrupted:
         raise typer.Exit(int(ExitCode.INTERRUPTED))
+    if outlets.failures:
+        raise typer.Exit(int(ExitCode.INPUT))
     code = ExitCode.DONE if tally.poses else ExitCode.INCONCLUSIVE if tally.captures else ExitCode.INPUT
     raise typer.Exit(int(code))

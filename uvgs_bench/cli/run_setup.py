@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from uvgs_bench.sensor.uvgs import Uvgs
     from uvgs_bench.sessions.events import EventSink
     from uvgs_bench.sessions.exposure_loop import ExposureLoop
+    from uvgs_bench.sessions.record_setup import RecordSetup
     from uvgs_bench.store.run import Run
 
 
@@ -50,15 +51,20 @@ def recorded_run(source: str) -> Run | None:
 
 
 def read_setup(
-    recorded: Run | None, camera: Path | None, beacon: list[Path], config: Path | None
+    recorded: Run | None,
+    camera: Path | None,
+    beacon: list[Path],
+    config: Path | None,
+    again: RecordSetup | None = None,
 ) -> tuple[Calibration, list[Beacon], UvgsConfig]:
-    """Read what the captures are solved with; a run folder has its own unless told otherwise.
+    """Read what the captures are solved with; a run folder and a record have their own unless told otherwise.
 
     Args:
         recorded: The run, or None.
         camera: Calibration file, or None.
         beacon: Beacon files.
         config: Sensor parameters, or None.
+        again: Setup of the record, or None.
 
     Returns:
         Calibration, beacons and parameters.
@@ -73,22 +79,24 @@ def read_setup(
     from uvgs_bench.store.documents import read_document
     from uvgs_bench.store.run_writer import SETUP, SETUP_SENSOR
 
-    if recorded is None and camera is None:
-        raise ConfigError("is needed unless the source is a run folder", "--camera")
-    if recorded is None and not beacon:
-        raise ConfigError("is needed unless the source is a run folder", "--beacon")
+    for option, is_given in (("--camera", camera is not None), ("--beacon", bool(beacon))):
+        if recorded is None and again is None and not is_given:
+            raise ConfigError("is needed unless the source is a run folder or a record", option)
     calibration = read_calibration(camera) if camera is not None else None
     beacons = [read_beacon(path) for path in beacon]
     if recorded is not None:
         calibration, beacons = calibration or recorded.calibration, beacons or [recorded.beacon]
         own = recorded.path / SETUP / SETUP_SENSOR
         config = own if config is None and own.is_file() else config
+    if again is not None:
+        calibration, beacons = calibration or again.calibration, beacons or list(again.beacons)
     assert calibration is not None
     names = [lights.name for lights in beacons]
     for path, lights in zip(beacon, beacons, strict=False):
         if names.count(lights.name) > 1:
             raise ConfigError(f"several beacons are named '{lights.name}'; each needs a name of its own", str(path))
-    parameters = UvgsConfig() if config is None else read_document(config, UvgsConfig)
+    default = UvgsConfig() if again is None else again.parameters
+    parameters = default if config is None else read_document(config, UvgsConfig)
     if len(beacons) > 1 and parameters.hue_deg is not None:
         raise ConfigError(
             "one hue cannot hold for several beacons; it belongs into their files", str(config), "hue_deg"
@@ -153,12 +161,16 @@ class OpenedSource:
         total: Their number if known.
         exposure: The exposure of its camera, or None when it cannot be set.
         live: The queue of a live camera, or None.
+        flags_of: What it has to say about a capture, or None.
+        is_live: Whether the captures are taken now, or were when they were recorded.
     """
 
     captures: Iterable[Capture]
     total: int | None
     exposure: ExposureControl | None = None
     live: LiveQueue | None = None
+    flags_of: Callable[[Capture], tuple[str, ...]] | None = None
+    is_live: bool = False
 
 
 def open_captures(
@@ -192,7 +204,7 @@ def open_captures(
         from uvgs_bench.sessions.live import queued
 
         live = stack.enter_context(queued(opened, sink, patience_s=reconnect_s))
-        return OpenedSource(live, None, live.exposure, live)
+        return OpenedSource(live, None, live.exposure, live, live.flags_of, is_live=True)
     stack.enter_context(opened)
     control: object = opened
     return OpenedSource(opened, opened.length, control if isinstance(control, ExposureControl) else None)

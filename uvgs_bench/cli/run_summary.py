@@ -13,7 +13,13 @@ _BAR_WIDTH = 24
 
 
 def show_summary(
-    tally: Tally, paths: Sequence[Path], *, timing: bool, as_json: bool, is_interrupted: bool = False
+    tally: Tally,
+    paths: Sequence[Path],
+    *,
+    timing: bool,
+    as_json: bool,
+    is_interrupted: bool = False,
+    failures: Sequence[str] = (),
 ) -> None:
     """Print the end of a stream: one JSON object, or tables for people.
 
@@ -23,11 +29,12 @@ def show_summary(
         timing: Whether to show the durations of the stages as histograms.
         as_json: Whether to print JSON.
         is_interrupted: Whether it was stopped before its end.
+        failures: What could not be kept, a line each.
     """
     from uvgs_bench.cli.console import emit_json
 
     if as_json:
-        emit_json(_as_object(tally, paths, timing, is_interrupted))
+        emit_json(_as_object(tally, paths, timing, is_interrupted) | {"failures": list(failures)})
         return
     _show(tally, timing)
     from rich.markup import escape
@@ -39,7 +46,10 @@ def show_summary(
     held = f", {tally.held} held" if tally.held else ""
     misses = tally.misses.total()
     poses = f"{tally.poses} {'pose' if tally.poses == 1 else 'poses'}"
-    out.print(f"{word}{poses}, {misses} {'miss' if misses == 1 else 'misses'}{held} kept in {where}", soft_wrap=True)
+    kept = f"kept in {where}" if paths else "told, no file was asked for"
+    out.print(f"{word}{poses}, {misses} {'miss' if misses == 1 else 'misses'}{held} {kept}", soft_wrap=True)
+    for text in failures:
+        out.print(f"[red]not whole:[/] {escape(text)}", soft_wrap=True)
 
 
 def _as_object(tally: Tally, paths: Sequence[Path], timing: bool, is_interrupted: bool) -> dict[str, object]:

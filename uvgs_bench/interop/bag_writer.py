@@ -14,10 +14,10 @@ Messages lie in a bag at the instant of their capture.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera import Lens
@@ -47,19 +47,17 @@ class BagContents:
     Args:
         lens: The camera's lens.
         beacons: The beacons by name.
-        compression: ``none``, ``bz2`` (ROS 1) or ``zstd`` (ROS 2).
         version: Of Astrobee's messages; None for none.
         annotate: Draws a capture with its outcome, BGR, by the beacon's name; empty for no pictures.
     """
 
     lens: Lens
     beacons: Mapping[str, Beacon]
-    compression: Compression = "none"
     version: astrobee.Version | None = None
     annotate: Mapping[str, Annotate] = field(default_factory=dict)
 
 
-class BagFile:
+class NewBag:
     """A bag that takes messages by topic and type; topics begin with their first message.
 
     Args:
@@ -67,9 +65,10 @@ class BagFile:
         compression: Of its chunks.
         version: Of Astrobee's messages, or None when there will be none.
         force: Whether an existing file may be replaced.
+        endings: Of them which are meant.
 
     Raises:
-        ConfigError: The ending is unknown, the format has no such compression, or the file may not be replaced.
+        ConfigError: The ending is another, the format has no such compression, or the file may not be replaced.
         UvgsError: It cannot be written.
     """
 
@@ -80,10 +79,11 @@ class BagFile:
         compression: Compression = "none",
         version: astrobee.Version | None = None,
         force: bool = False,
+        endings: Sequence[str] = BAG_ENDINGS,
     ) -> None:
-        known = _COMPRESSIONS.get(path.suffix)
-        if known is None:
-            raise ConfigError(f"unknown ending '{path.suffix}', expected one of: {', '.join(BAG_ENDINGS)}", str(path))
+        if path.suffix not in endings:
+            raise ConfigError(f"unknown ending '{path.suffix}', expected {' or '.join(endings)}", str(path))
+        known = _COMPRESSIONS[path.suffix]
         if compression not in known:
             raise ConfigError(
                 f"a {path.suffix} file cannot be compressed by {compression}, but by {known[1]}", str(path)
@@ -97,6 +97,11 @@ class BagFile:
         kind: Any = Ros1Container if self._is_ros1 else McapContainer
         self._container: BagContainer = kind(path, force=force, compression=compression)
         self._channels: dict[str, Channel] = {}
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The bag."""
+        return (self.path,)
 
     def write(self, topic: str, t_ns: int, message: Any) -> None:
         """Append a message. Raises UvgsError when the disk is full, FormatError for an impossible instant."""
@@ -119,23 +124,36 @@ class BagFile:
         return MessageKind(name, definition, self._store.hash_rihs01(name))
 
 
+class MessageSink(Protocol):
+    """What takes messages: a bag, or a running ROS."""
+
+    make: MessageMaker
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Files it writes."""
+        ...
+
+    def write(self, topic: str, t_ns: int, message: Any) -> None:
+        """Take a message."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
 class BagPoses:
-    """The answers of a stream in a bag.
+    """The answers of a stream as messages, in a bag or in a running ROS.
 
     Args:
-        path: ``*.bag`` or ``*.mcap``.
+        bag: Takes them; closed with this.
         contents: What goes in besides.
-        force: Whether an existing file may be replaced.
-
-    Raises:
-        ConfigError: As ``BagFile``.
-        UvgsError: As ``BagFile``.
     """
 
-    def __init__(self, path: Path, contents: BagContents, *, force: bool = False) -> None:
-        self.path = path
+    def __init__(self, bag: MessageSink, contents: BagContents) -> None:
         self._contents = contents
-        self._bag = BagFile(path, compression=contents.compression, version=contents.version, force=force)
+        self._bag = bag
         self._words = ros_names(tuple(contents.beacons))
         self._info = camera_info_from_lens(contents.lens)
         self._last: Capture | None = None
@@ -143,7 +161,7 @@ class BagPoses:
     @property
     def paths(self) -> tuple[Path, ...]:
         """The bag."""
-        return (self.path,)
+        return self._bag.paths
 
     def write(self, capture: Capture, outcome: Outcome | Held, note: LineNote) -> None:
         """Append the outcome of a capture for one beacon.

@@ -5,17 +5,21 @@ To add one: a class with ``put`` and ``close``, opened in ``cli/run_outlets.py``
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
+from uvgs_bench.errors import UvgsError
+from uvgs_bench.interop.bag_writer import BagPoses
 from uvgs_bench.interop.trajectories import PoseWriter
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.debug_images import DebugImages
+from uvgs_bench.sessions.events import EventSink, Remark
 from uvgs_bench.sessions.stream import Answered
 
 
@@ -59,14 +63,57 @@ class Outlet(Protocol):
         ...
 
 
+class Outlets:
+    """All outlets of a stream. One that fails is closed and named; the others go on.
+
+    Args:
+        outlets: In the order in which they take an answer.
+        sink: Where failures are told.
+    """
+
+    def __init__(self, outlets: Sequence[Outlet], sink: EventSink) -> None:
+        self._alive = list(outlets)
+        self._sink = sink
+        self.paths = tuple(path for outlet in outlets for path in outlet.paths)
+        """Files that are written."""
+        self.failures: list[str] = []
+        """What failed, a line each."""
+
+    def put(self, answered: Answered) -> None:
+        """Hand an answer to all. Raises UvgsError when the last one has failed."""
+        for outlet in tuple(self._alive):
+            try:
+                outlet.put(answered)
+            except UvgsError as error:
+                self._alive.remove(outlet)
+                with suppress(UvgsError):
+                    outlet.close()
+                if not self._alive:
+                    raise
+                self._tell(f"{error}; the poses go on")
+
+    def close(self) -> None:
+        """Close all. Safe to call twice."""
+        alive, self._alive = self._alive, []
+        for outlet in alive:
+            try:
+                outlet.close()
+            except UvgsError as error:
+                self._tell(str(error))
+
+    def _tell(self, text: str) -> None:
+        self.failures.append(text)
+        self._sink(Remark("warning", text))
+
+
 class PoseFile:
-    """One line per capture and beacon in a pose file.
+    """One line per capture and beacon in a pose file, or its messages in a bag.
 
     Args:
         writer: The open writer.
     """
 
-    def __init__(self, writer: PoseWriter) -> None:
+    def __init__(self, writer: PoseWriter | BagPoses) -> None:
         self._writer = writer
 
     @property
