@@ -97,10 +97,10 @@ def check_wire(events: list[tuple[str, str]], envelope: Envelope, start: np.ndar
     at = start
     for direction, text in events:
         if direction == ">!":
-            assert text in ("0x18", "0x3F", "0x85", "0x21"), text
+            assert text in ("0x18", "0x3F", "0x85", "0x21", "0xF0"), text
         elif direction == ">":
             text = _SEAL.sub("", text)
-            if text in ("$I", "$$", "$#", "$H", "G4P0.01"):
+            if text in ("$I", "$$", "$#", "$S", "$H", "G4P0.01"):
                 continue
             move = _MOVE.match(text)
             assert move, text
@@ -135,7 +135,7 @@ def fault_run(seed: int, folder: Path, kinds: tuple[str, ...] = KINDS, strength:
     device.settings[27] = float(rng.choice([1.0, 2.0]))
     for i in range(3):
         device.settings[110 + i] = float(rng.uniform(1000.0, 3000.0))
-        device.settings[120 + i] = float(rng.uniform(50.0, 400.0))
+        device.settings[120 + i] = float(rng.uniform(50.0, 200.0))
     path = folder / f"run-{seed}"
     manifest = RunManifest(
         id=path.name, created_utc="2026-01-01T00:00:00.000Z", procedure_name="faulty", mount="beacon_on_carriage",

@@ -128,3 +128,46 @@ def test_noise_never_breaks_the_controller(pieces, seed) -> None:
     device.take_output(t_ns)
     device.receive(0x18, t_ns)
     assert b"Grbl 1.1h ['$' for help]" in device.take_output(t_ns + 2_000_000_000)
+
+
+# Per axis: 3000 mm/min; looked at every 0.25 s, told to stop at the second look, 20 ms on the wire and in the planner;
+# 50 ms until a cancel bites; braking with 200 mm/s^2. m.
+_ASTRAY_M = 0.05 * (0.25 + 0.02 + 0.05) + 0.05**2 / (2.0 * 0.2) + 1e-4
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 60), st.integers(0, 7), st.floats(0.005, 0.05))
+def test_a_damaged_move_of_plain_grbl_leaves_its_path_by_a_known_bound(place, bit, speed) -> None:
+    """A line without a checksum may become another move: the controller keeps the travel, the driver the path."""
+    mock = MockGantry(_NoPatch(), envelope=Envelope(linear_axes(travel_m=0.2)))
+    try:
+        start = np.array([-0.1, -0.1, -0.1])
+        target = np.array([-0.15, -0.12, -0.08])
+        mock.gantry.home()
+        mock.gantry.move_to(start, 0.05)
+        begun_ns = mock.clock.now_ns()
+        receive, count = mock.device.receive, -1
+
+        def damaged(byte: int, t_ns: int) -> None:
+            nonlocal count
+            if byte == ord("$") or count >= 0:
+                count += 1
+            receive(byte ^ (1 << bit) if count == place and byte != 0x0A else byte, t_ns)
+
+        mock.device.receive = damaged  # type: ignore[method-assign]
+        with contextlib.suppress(GantryError):
+            mock.gantry.move_to(target, speed)
+        mock.device.receive = receive  # type: ignore[method-assign]
+        with contextlib.suppress(GantryError):
+            mock.gantry.stop()
+        way = (target - start) / np.linalg.norm(target - start)
+        for t_ns in range(begun_ns, mock.clock.now_ns(), 10_000_000):
+            at = np.asarray(mock.device.position_at(t_ns))
+            assert np.all(at >= -0.2 - 2e-6)
+            assert np.all(at <= 2e-6)
+            along = np.clip((at - start) @ way, 0.0, np.linalg.norm(target - start))
+            assert np.abs(at - start - along * way).max() <= _ASTRAY_M
+        assert np.all(mock.device.velocity_at(mock.clock.now_ns()) == 0.0)
+    finally:
+        mock.gantry.close()
+        sim_bench._live.pop("mock", None)
