@@ -15,12 +15,13 @@ from uvgs_bench.sensor.capture import BayerPattern, Capture
 
 if TYPE_CHECKING:
     from uvgs_bench.devices.cameras.spec import CameraSpec
+    from uvgs_bench.interop.stamp_file import PictureStamp
     from uvgs_bench.sensor.capture import ImageArray
 
 _SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"})
 
 STEP_NS = 100_000_000
-"""Pictures of a folder carry no instant; they are stamped this far apart in the order of their names."""
+"""Pictures of a folder without ``stamps.csv`` are stamped this far apart in the order of their names."""
 
 
 class ImageFolder(ClosingSource):
@@ -31,15 +32,22 @@ class ImageFolder(ClosingSource):
         files: The pictures in order.
         bayer: Pattern of the colour mosaic that the pictures are, to be made into colour; None when they are none.
         bits: Bits of a pixel that the camera filled; None when all.
+        stamps: Instant and former mosaic of each picture, or None when nothing says them.
     """
 
     def __init__(
-        self, spec: str, files: list[Path], bayer: BayerPattern | None = None, bits: int | None = None
+        self,
+        spec: str,
+        files: list[Path],
+        bayer: BayerPattern | None = None,
+        bits: int | None = None,
+        stamps: tuple[PictureStamp, ...] | None = None,
     ) -> None:
         super().__init__(spec, is_live=False, length=len(files))
         self._files = files
         self._bayer = bayer
         self._bits = bits
+        self._stamps = stamps
         self._next = 0
         self._first: tuple[str, int, int] | None = None
 
@@ -47,8 +55,10 @@ class ImageFolder(ClosingSource):
     def open(cls, spec: CameraSpec, _clock: Clock) -> ImageFolder:
         """Open ``images:FOLDER`` with the options ``glob``, ``bayer`` (``rggb bggr grbg gbrg``) and ``bits`` (8 to 16).
 
+        A file ``stamps.csv`` in the folder says the instants, and the order with them.
+
         Raises:
-            CaptureError: The folder is missing or no picture in it matches.
+            CaptureError: The folder is missing, no picture in it matches, or ``stamps.csv`` does not fit the pictures.
             ConfigError: An option is unknown or has no meaning, or the pattern leaves the folder.
         """
         spec.check_options(("glob", "bayer", "bits"))
@@ -72,7 +82,10 @@ class ImageFolder(ClosingSource):
         if not files:
             wanted = f"no picture matches '{pattern}'" if "glob" in spec.options else "holds no pictures"
             raise CaptureError(f"{wanted}, expected files ending in {' '.join(sorted(_SUFFIXES))}", spec.target)
-        return cls(spec.text, files, _bayer_of(spec), _bits_of(spec))
+        bayer, bits, stamps = _bayer_of(spec), _bits_of(spec), _stamps_of(folder, files)
+        if stamps is not None:
+            files = [folder / stamp.file for stamp in stamps]
+        return cls(spec.text, files, bayer, bits, stamps)
 
     def grab(self) -> Capture | None:
         """The next picture, or None after the last.
@@ -102,7 +115,29 @@ class ImageFolder(ClosingSource):
             )
         if self._bayer is not None:
             image = _developed(image, self._bayer, path)
-        return Capture(image, index * STEP_NS, path.name, index, bayer=self._bayer, full_scale_dn=full_scale_dn)
+        t_ns, was = index * STEP_NS, self._bayer
+        if self._stamps is not None:
+            t_ns, was = self._stamps[index].t_ns, was or self._stamps[index].bayer
+        return Capture(image, t_ns, path.name, index, bayer=was, full_scale_dn=full_scale_dn)
+
+
+def _stamps_of(folder: Path, files: list[Path]) -> tuple[PictureStamp, ...] | None:
+    """What ``stamps.csv`` says of these pictures; None when there is none."""
+    from uvgs_bench.interop.stamp_file import STAMP_FILE, read_stamps
+
+    path = folder / STAMP_FILE
+    if not path.is_file():
+        return None
+    try:
+        stamps = read_stamps(path)
+    except FormatError as error:
+        raise CaptureError(str(error)) from None
+    named, there = {stamp.file for stamp in stamps}, {file.name for file in files}
+    if unnamed := [file.name for file in files if file.name not in named]:
+        raise CaptureError(f"names no instant for {unnamed[0]}; remove the file to stamp pictures by order", str(path))
+    if gone := [name for name in named if not (folder / name).is_file()]:
+        raise CaptureError(f"names {sorted(gone)[0]}, which is not there", str(path))
+    return tuple(stamp for stamp in stamps if stamp.file in there)
 
 
 def _bayer_of(spec: CameraSpec) -> BayerPattern | None:
