@@ -9,14 +9,19 @@ import numpy as np
 from uvgs_bench.accuracy.observations import Mount
 from uvgs_bench.devices.gantry.axes import Axis, AxisKind, Envelope
 from uvgs_bench.devices.gantry.registry import is_simulated
-from uvgs_bench.devices.sim.truth import SimulatedTruth, TruePose
+from uvgs_bench.devices.sim.truth import SimulatedTruth, TruePose, Vector
 from uvgs_bench.geometry import FloatArray, Pose, read_only
+from uvgs_bench.geometry.se3 import hat
 from uvgs_bench.units import m_from_mm, mps_from_mm_min, rad_from_deg, radps_from_deg_min
 
 UNJUDGED = "nobody: the axes are taken as the bench file declares them"
 _MOUNTED_FRAMES: dict[Mount, tuple[str, str]] = {
     "beacon_on_carriage": ("carriage", "beacon"),
     "camera_on_carriage": ("camera", "carriage"),
+}
+_STANDING_FRAMES: dict[Mount, tuple[str, str]] = {
+    "beacon_on_carriage": ("camera", "gantry"),
+    "camera_on_carriage": ("gantry", "beacon"),
 }
 _UNIT_OF_KIND: dict[AxisKind, str] = {"linear": "mm", "rotary": "deg"}
 
@@ -143,6 +148,56 @@ def _box(axes: tuple[Axis, ...], intervals: dict[str, tuple[float, float]]) -> F
 
 
 @dataclass(frozen=True, slots=True)
+class OtherBeaconFile:
+    """One ``[[others]]`` table: a beacon that stands fixed beside the bench's own, as surveyed.
+
+    Args:
+        beacon: Its file.
+        position_mm: Its origin in the frame of the bench's own beacon, mm.
+        euler_zyx_deg: Its attitude there, intrinsic yaw, pitch, roll, deg.
+        position_sigma_mm: Doubt of the position, standard deviation per axis, mm.
+        attitude_sigma_deg: Doubt of the attitude, standard deviation per axis, deg.
+    """
+
+    beacon: str
+    position_mm: Vector
+    euler_zyx_deg: Vector = (0.0, 0.0, 0.0)
+    position_sigma_mm: float = 0.5
+    attitude_sigma_deg: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("position_sigma_mm", "attitude_sigma_deg"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherBeacon:
+    """A beacon that stands fixed beside the bench's own.
+
+    Args:
+        file: Path of its file.
+        beacon_from_other: Where it stands in the frame of the bench's own; both frames are called beacon.
+        covariance: Doubt of that as a left tangent (omega, v), shape (6, 6), rad and m.
+    """
+
+    file: str
+    beacon_from_other: Pose
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, file: OtherBeaconFile, path: str) -> OtherBeacon:
+        """From its table, with the path of its beacon file."""
+        pose = TruePose(file.position_mm, file.euler_zyx_deg).pose("beacon", "beacon")
+        position_m, attitude_rad = m_from_mm(file.position_sigma_mm), rad_from_deg(file.attitude_sigma_deg)
+        # A turn about the beacon itself, not about the group's origin: dt = v + omega x t is independent of omega.
+        J = np.eye(6)
+        J[3:, :3] = hat(pose.t_m)
+        spread = np.diag([attitude_rad**2] * 3 + [position_m**2] * 3)
+        return cls(path, pose, read_only(J @ spread @ J.T))
+
+
+@dataclass(frozen=True, slots=True)
 class BenchFile:
     """The whole of ``bench.toml``; paths are relative to it.
 
@@ -156,6 +211,9 @@ class BenchFile:
         sensor: File with settings of the sensor; the defaults when absent.
         mounted: Roughly how what rides the carriage sits on it, as built: carriage_from_beacon, or camera_from_carriage
             with ``mount = "camera_on_carriage"``. Registrations take it where a sweep cannot tell.
+        standing: Roughly how what stands is placed before the gantry, as built: camera_from_gantry, or
+            gantry_from_beacon with ``mount = "camera_on_carriage"``; with ``mounted`` it tells beacons of a hue apart.
+        others: Further beacons that stand fixed beside this one.
         simulated: What is true on the simulated bench.
     """
 
@@ -167,11 +225,17 @@ class BenchFile:
     mount: Mount = "beacon_on_carriage"
     sensor: str | None = None
     mounted: TruePose | None = None
+    standing: TruePose | None = None
+    others: tuple[OtherBeaconFile, ...] = ()
     simulated: SimulatedTruth | None = None
 
     def mounted_pose(self) -> Pose | None:
         """The table ``[mounted]`` as a pose, or None."""
         return None if self.mounted is None else self.mounted.pose(*_MOUNTED_FRAMES[self.mount])
+
+    def standing_pose(self) -> Pose | None:
+        """The table ``[standing]`` as a pose, or None."""
+        return None if self.standing is None else self.standing.pose(*_STANDING_FRAMES[self.mount])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,6 +259,8 @@ class Bench:
         gantry_file: Path of the gantry's calibration, or None when the axes are taken as declared.
         judged_by: Who judged the gantry, in one line.
         mounted: How what rides the carriage sits on it, as built, or None when the file does not say.
+        standing: How what stands is placed before the gantry, as built, or None when the file does not say.
+        others: Further beacons that stand fixed beside this one.
     """
 
     name: str
@@ -213,6 +279,8 @@ class Bench:
     gantry_file: str | None = None
     judged_by: str = UNJUDGED
     mounted: Pose | None = None
+    standing: Pose | None = None
+    others: tuple[OtherBeacon, ...] = ()
 
     @property
     def is_simulated(self) -> bool:

@@ -15,12 +15,13 @@ from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.devices.bench import Bench
 from uvgs_bench.devices.cameras.registry import open_camera
-from uvgs_bench.devices.clock import Clock, RealClock
+from uvgs_bench.devices.clock import Clock, RealClock, SteppedClock
 from uvgs_bench.devices.gantry.gantry import ControllerInfo
 from uvgs_bench.devices.gantry.registry import is_simulated, open_gantry, spec_on_bench
 from uvgs_bench.errors import ConfigError, RunError, UnreadableDocument
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
+from uvgs_bench.sessions.beacon_group import check_group, group_sensor
 from uvgs_bench.sessions.events import EventSink, Remark, ignore_events
 from uvgs_bench.sessions.interruption import interruptible
 from uvgs_bench.sessions.planning import Plan, plan
@@ -63,6 +64,7 @@ class SetUp:
         files: Content of each set-up file by the name of its copy.
         sources: Where each was read, by the same name.
         noise_seed: Seed of the simulated bench in place of the bench file's, or None.
+        others: The bench's other beacons, in its order.
     """
 
     bench: Bench
@@ -75,11 +77,18 @@ class SetUp:
     files: dict[str, bytes]
     sources: dict[str, str]
     noise_seed: int | None = None
+    others: tuple[Beacon, ...] = ()
 
     @property
     def is_simulated(self) -> bool:
         """Whether the gantry or the camera is simulated."""
         return _is_simulated(self.gantry_spec) or _is_simulated(self.camera_spec)
+
+    @property
+    def is_group(self) -> bool:
+        """Whether poses are those of a group: several beacons, or a path that is corrected by what is seen."""
+        motion = self.plan.motion
+        return bool(self.others) or (motion is not None and motion.correction_limit_m is not None)
 
     def hashes(self, info: ControllerInfo) -> dict[str, str]:
         """SHA-256 of each set-up file and of the controller's settings, by name."""
@@ -134,6 +143,11 @@ def read_setup(
         sources[SETUP_SENSOR] = Path(described.sensor_file)
         config = read_document(sources[SETUP_SENSOR], UvgsConfig)
     calibration, beacon = read_calibration(camera_file), read_beacon(sources[SETUP_BEACON])
+    others = tuple(read_beacon(Path(other.file)) for other in described.others)
+    sources |= {
+        f"beacon_{other.name}.toml": Path(place.file) for place, other in zip(described.others, others, strict=True)
+    }
+    check_group(described, planned, (beacon, *others), str(procedure))
     files = {name: _content(path) for name, path in sources.items()}
     # The defaults of this version, so that another version can solve the pictures with the same settings.
     files.setdefault(SETUP_SENSOR, toml_text({"schema": 1} | asdict(config)).encode())
@@ -148,6 +162,7 @@ def read_setup(
         files=files,
         sources={name: str(path.resolve()) for name, path in sources.items()},
         noise_seed=seed,
+        others=others,
     )
     if _is_own_camera(set_up.camera_spec) and not _is_own_gantry(set_up.gantry_spec):
         raise ConfigError(
@@ -253,10 +268,12 @@ def resume(
         What was taken now.
 
     Raises:
-        RunError: The set-up changed, or something moved.
+        RunError: The set-up changed, or something moved, or the run ends with a motion, which cannot be taken up.
         UvgsError: As ``open_rig`` and ``run_sweep``.
         KeyboardInterrupt: As ``run_sweep``.
     """
+    if set_up.plan.motion is not None:
+        raise RunError("ends with a motion, which is not taken up in the middle: begin a new run", str(run.path))
     log = _EarlyLog()
     with interruptible(), open_rig(set_up, log, simulated_speed) as rig:
         hashes = set_up.hashes(rig.gantry.info)
@@ -311,12 +328,23 @@ def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIM
         if _is_own_gantry(gantry_spec):
             from uvgs_bench.devices.sim.bench import start_simulated_bench
 
-            twin = start_simulated_bench(set_up.bench, set_up.beacon, speed=simulated_speed, seed=set_up.noise_seed)
+            twin = start_simulated_bench(
+                set_up.bench,
+                set_up.beacon,
+                speed=simulated_speed,
+                seed=set_up.noise_seed,
+                others=set_up.others,
+                # Pictures take longer to draw than to expose: in motion time waits for them.
+                clock=None if set_up.plan.motion is None else SteppedClock(),
+            )
             stack.callback(twin.close)
             clock, gantry_spec = twin.clock, spec_on_bench(gantry_spec, twin.name) or twin.gantry_spec
             camera_spec = twin.camera_spec if _is_own_camera(camera_spec) else camera_spec
         sensor = Uvgs(set_up.calibration, set_up.beacon, set_up.config, clock=_stage_clock)
         sensor.warm_up()
+        others = [Uvgs(set_up.calibration, other, set_up.config, clock=_stage_clock) for other in set_up.others]
+        for each in others:
+            each.warm_up()
         camera = stack.enter_context(open_camera(camera_spec, clock=clock))
         first = camera.grab()
         if first is not None:
@@ -331,7 +359,11 @@ def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIM
                 homing_timeout_s=set_up.bench.homing_timeout_s,
             )
         )
-        yield Rig(gantry, camera, sensor, clock)
+        if not set_up.is_group:
+            yield Rig(gantry, camera, sensor, clock)
+            return
+        group = group_sensor(set_up.bench, (sensor, *others), set_up.plan.motion, lambda: gantry.state().position)
+        yield Rig(gantry, camera, group, clock)
 
 
 def _stage_clock() -> float:

@@ -31,6 +31,7 @@ PATTERNS: dict[str, str] = {
     "square": "uvgs_bench.sessions.patterns:Square",
     "ladder": "uvgs_bench.sessions.patterns:Ladder",
     "random": "uvgs_bench.sessions.patterns:RandomVolume",
+    "trajectory": "uvgs_bench.sessions.pattern_trajectory:TrajectoryPattern",
 }
 """Name of the pattern and of its table -> class."""
 

@@ -14,6 +14,7 @@ from uvgs_bench.accuracy.observations import Role
 from uvgs_bench.devices.gantry.axes import Axis, Envelope
 from uvgs_bench.errors import ConfigError, EnvelopeError
 from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.sessions.pattern_trajectory import Motion, TrajectoryPattern
 from uvgs_bench.sessions.patterns import axis_vector, position_key, si_from_file
 from uvgs_bench.sessions.procedure import Procedure
 
@@ -22,6 +23,8 @@ _CAPTURE_S = 1.0 / 30.0
 # A controller knows no smaller step than this, m or rad.
 _AT_REST = 1e-9
 _DEFAULT_OVERSHOOT_FILE_UNITS = 1.0
+# A motion is checked at instants this far apart, s.
+_CHECK_S = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +64,7 @@ class Plan:
         distance_m: Length of all moves of linear axes, from home, m.
         duration_s: Estimated time after homing, s.
         plan_hash: SHA-256 of everything that decides where and when captures are taken.
+        motion: The motion that follows the stations, or None.
     """
 
     procedure: Procedure
@@ -69,11 +73,13 @@ class Plan:
     distance_m: float
     duration_s: float
     plan_hash: str
+    motion: Motion | None = None
 
     @property
     def capture_count(self) -> int:
-        """Number of planned captures."""
-        return len(self.stations) * self.procedure.captures_per_station
+        """Number of planned captures; those in motion about."""
+        moving = 0 if self.motion is None else self.motion.capture_count
+        return len(self.stations) * self.procedure.captures_per_station + moving
 
     @property
     def register_waypoint_count(self) -> int:
@@ -98,6 +104,7 @@ def plan(procedure: Procedure, envelope: Envelope) -> Plan:
     """
     try:
         stations = _stations(procedure, envelope)
+        motion = _motion(procedure, envelope)
     except ConfigError as error:
         # A pattern does not know its file; name it here.
         if error.path or not procedure.path:
@@ -105,6 +112,10 @@ def plan(procedure: Procedure, envelope: Envelope) -> Plan:
         raise ConfigError(str(error), procedure.path) from None
     try:
         distance_m, duration_s = _checked_moves(procedure, envelope, stations)
+        if motion is not None:
+            to_start_s = _check_motion(motion, envelope, stations[-1].target, procedure)
+            duration_s += to_start_s + procedure.settle_s + motion.duration_s
+            distance_m += motion.length_m
     except EnvelopeError as error:
         raise EnvelopeError(f"{procedure.path}: {error}" if procedure.path else str(error), error.axis) from None
     return Plan(
@@ -113,7 +124,8 @@ def plan(procedure: Procedure, envelope: Envelope) -> Plan:
         waypoint_count=1 + max(station.waypoint for station in stations),
         distance_m=distance_m,
         duration_s=duration_s,
-        plan_hash=_plan_hash(procedure, stations),
+        plan_hash=_plan_hash(procedure, stations, motion),
+        motion=motion,
     )
 
 
@@ -162,9 +174,7 @@ def _stations(procedure: Procedure, envelope: Envelope) -> tuple[Station, ...]:
     axes = envelope.axes
     # Places and choices draw from generators of their own, so that a larger count of one leaves the other as it was.
     place_rng, order_rng, role_rng = np.random.default_rng(procedure.seed).spawn(3)
-    grid = procedure.pattern.points(axes, place_rng)
-    if procedure.origin == "centre":
-        grid = grid + np.array([0.5 * (axis.lower + axis.upper) for axis in axes])
+    grid = procedure.pattern.points(axes, place_rng) + _origin(procedure, envelope)
     waypoints = grid.reshape(-1, len(axes))
     registers = _register_waypoints(procedure, waypoints, role_rng)
     overshoot = _overshoot(procedure, axes)
@@ -190,6 +200,43 @@ def _stations(procedure: Procedure, envelope: Envelope) -> tuple[Station, ...]:
         )
         seen[waypoint] += 1
     return tuple(stations)
+
+
+def _origin(procedure: Procedure, envelope: Envelope) -> FloatArray:
+    """What positions of the procedure are relative to, shape (A,), m or rad."""
+    if procedure.origin == "centre":
+        return np.array([0.5 * (axis.lower + axis.upper) for axis in envelope.axes])
+    return np.zeros(len(envelope.axes))
+
+
+def _motion(procedure: Procedure, envelope: Envelope) -> Motion | None:
+    pattern = procedure.pattern
+    if not isinstance(pattern, TrajectoryPattern):
+        return None
+    return pattern.motion(envelope.axes, _origin(procedure, envelope), procedure.feed_mps, procedure.feed_radps)
+
+
+def _check_motion(motion: Motion, envelope: Envelope, start: FloatArray, procedure: Procedure) -> float:
+    """Check every place of a motion, the ways between as they are cut, and the way to it; how long the last takes, s.
+
+    What corrections at waits may add is checked when they are made: the driver refuses what leaves the envelope.
+    """
+    for number, point in zip(motion.numbers, motion.points, strict=True):
+        try:
+            envelope.check_point(point.position)
+        except EnvelopeError as error:
+            raise EnvelopeError(f"place {number} of the path: {error}", error.axis) from None
+    first = motion.points[0].position
+    try:
+        envelope.check_path(start, first)
+        if envelope.keep_out:
+            path = motion.trajectory()
+            instants = np.arange(0.0, path.duration_s + _CHECK_S, _CHECK_S)
+            for a, b in pairwise(path.positions_at(instants)):
+                envelope.check_path(a, b)
+    except EnvelopeError as error:
+        raise EnvelopeError(f"on the path: {error}", error.axis) from None
+    return move_duration_s(envelope.axes, start, first, procedure)
 
 
 def _visiting_order(procedure: Procedure, shape: tuple[int, ...], rng: np.random.Generator) -> list[int]:
@@ -289,12 +336,16 @@ def _checked_moves(procedure: Procedure, envelope: Envelope, stations: Sequence[
     return distance_m, duration_s
 
 
-def _plan_hash(procedure: Procedure, stations: Sequence[Station]) -> str:
-    said = {
+def _plan_hash(procedure: Procedure, stations: Sequence[Station], motion: Motion | None) -> str:
+    said: dict[str, object] = {
         "feed_mps": procedure.feed_mps,
         "feed_radps": procedure.feed_radps,
         "settle_s": procedure.settle_s,
         "captures": procedure.captures_per_station,
         "stations": [[s.waypoint, s.repeat, s.role, *(p.tolist() for p in s.path)] for s in stations],
     }
+    if motion is not None:
+        said["motion"] = [[p.position.tolist(), p.dwell_s, p.blend] for p in motion.points]
+        said["captures_hz"], said["beacons"] = motion.captures_hz, motion.beacons
+        said["correction_limit_m"] = motion.correction_limit_m
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

@@ -108,7 +108,7 @@ def run_sweep(plan: Plan, rig: Rig, writer: RunWriter, *, sink: EventSink = igno
         UvgsError: Gantry, camera or disk failed; the run is closed as ``failed``.
         KeyboardInterrupt: The user stopped it; the run is closed as ``interrupted``.
     """
-    with closing_run(rig.gantry, writer, sink):
+    with closing_run(rig.gantry, writer, sink, is_resumable=plan.motion is None):
         check_live(rig)
         home(rig.gantry, sink)
         return take_stations(plan, rig, writer, sink)
@@ -143,6 +143,10 @@ def take_stations(
         counts.update(sample.reason for sample in samples)
         solved = sum(sample.is_solved for sample in samples)
         sink(StageAdvanced("sweep", done, f"station {station.index}: {solved} of {len(samples)} poses"))
+    if plan.motion is not None:
+        from uvgs_bench.sessions.maneuver import drive_motion
+
+        counts.update(sample.reason for sample in drive_motion(plan, rig, writer, sink))
     writer.close("completed")
     captures = sum(counts.values())
     poses = counts.pop("", 0)
@@ -289,13 +293,14 @@ def _check_place(gantry: Gantry, state: GantryState, station: Station) -> None:
 
 
 @contextmanager
-def closing_run(gantry: Gantry, writer: RunWriter, sink: EventSink) -> Iterator[None]:
+def closing_run(gantry: Gantry, writer: RunWriter, sink: EventSink, *, is_resumable: bool = True) -> Iterator[None]:
     """Whatever leaves this block: the motion is stopped first, then the run is closed with the reason.
 
     Args:
         gantry: The gantry.
         writer: The run; left alone when it was closed inside the block.
         sink: Receives how to resume.
+        is_resumable: Whether the run can be taken up again.
     """
     with interruptible(), pausable():
         try:
@@ -311,7 +316,8 @@ def closing_run(gantry: Gantry, writer: RunWriter, sink: EventSink) -> Iterator[
                     writer.close("interrupted" if is_wanted else "failed", f"{reason}; {position}")
                 except UvgsError as close_error:
                     sink(Remark("warning", str(close_error)))
-                sink(Remark("warning", f"run closed; resume with: uvgs gantry-sweep --resume {writer.path}"))
+                if is_resumable:
+                    sink(Remark("warning", f"run closed; resume with: uvgs gantry-sweep --resume {writer.path}"))
             raise
 
 

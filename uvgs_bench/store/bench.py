@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uvgs_bench.devices.bench import UNJUDGED, Bench, BenchFile
+from uvgs_bench.devices.bench import UNJUDGED, Bench, BenchFile, OtherBeacon
 from uvgs_bench.devices.sim.passing import PassingBeacon
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import ConfigError
@@ -60,6 +60,8 @@ def read_bench(path: Path) -> Bench:
         gantry_file=None if gantry_file is None else str(gantry_file),
         judged_by=judged_by,
         mounted=file.mounted_pose(),
+        standing=file.standing_pose(),
+        others=tuple(OtherBeacon.of(other, str(folder / other.beacon)) for other in file.others),
     )
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.observations import Observations
-from uvgs_bench.devices.gantry.axes import gantry_from_carriage
+from uvgs_bench.devices.gantry.axes import Axis, gantry_from_carriage
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.sensor.outcome import PoseEstimate
 
 if TYPE_CHECKING:
     from uvgs_bench.store.run_types import Run
+
+# Rates become a velocity by a difference over this, s; a linear axis is exact, a rotary one to 1e-6 of it.
+_STEP_S = 1e-3
 
 
 def observations_from_run(run: Run) -> Observations:
@@ -33,12 +37,15 @@ def observations_from_run(run: Run) -> Observations:
     R_cb, t_cb, covariance = np.full((N, 3, 3), np.nan), np.full((N, 3), np.nan), np.full((N, 6, 6), np.nan)
     by_beacon, by_lens = np.full((N, 6, 6), np.nan), np.full((N, 6, 6), np.nan)
     rms_px, exposure_s = np.full(N, np.nan), np.full(N, np.nan)
+    velocity = np.zeros((N, 3))
     known: dict[bytes, Pose] = {}
     for i, sample in enumerate(samples):
         at = sample.position.tobytes()
         if at not in known:
             known[at] = gantry_from_carriage(run.manifest.axes, sample.position)
         R_gs[i], t_gs[i] = known[at].R, known[at].t_m
+        if sample.is_moving:
+            velocity[i] = _carriage_velocity(run.manifest.axes, sample.position, sample.velocity)
         if sample.exposure_s is not None:
             exposure_s[i] = sample.exposure_s
         if isinstance(sample.outcome, PoseEstimate):
@@ -63,6 +70,7 @@ def observations_from_run(run: Run) -> Observations:
         is_solved=np.array([sample.is_solved for sample in samples], dtype=np.bool_),
         reason=tuple(sample.reason for sample in samples),
         mount=run.manifest.mount,
+        velocity_gs_mps=read_only(velocity),
         place=np.array([sample.waypoint for sample in samples], dtype=np.int64),
         approach=_approaches(run),
         exposure_s=read_only(exposure_s),
@@ -71,6 +79,13 @@ def observations_from_run(run: Run) -> Observations:
         beacon_covariance=read_only(by_beacon),
         calibration_covariance=read_only(by_lens),
     )
+
+
+def _carriage_velocity(axes: Sequence[Axis], position: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Velocity of the carriage in gantry axes, shape (3,), m/s, for axis positions and their rates."""
+    before = gantry_from_carriage(axes, position - _STEP_S * velocity).t_m
+    after = gantry_from_carriage(axes, position + _STEP_S * velocity).t_m
+    return np.asarray((after - before) / (2.0 * _STEP_S))
 
 
 def _approaches(run: Run) -> NDArray[np.int8]:
@@ -85,6 +100,9 @@ def _approaches(run: Run) -> NDArray[np.int8]:
             # An axis that stayed keeps the side it came from; a seam may hide a move, so nothing is known after it.
             seam = any(seam.first_index == sample.index for seam in run.seams)
             out[i] = np.where(moved != 0, moved, 0 if seam else out[i - 1])
+    for i, sample in enumerate(run.samples):
+        if sample.is_moving:
+            out[i] = np.sign(sample.velocity)
     return out
 
 

@@ -24,6 +24,7 @@ _PLAIN_KEYS = (
     *("id", "created_utc", "procedure_name", "mount", "seed", "camera_spec", "gantry_spec", "simulated", "plan_hash"),
     *("station_count", "captures_per_station", "keep", "started_t_ns", "settle_s", "gantry_sigma_m"),
 )
+_HANDOVER_KEYS = ("active", "switched", "held_age_s")
 _TABLE_KEYS = ("hashes", "versions", "gantry_info", "sources")
 
 
@@ -51,6 +52,9 @@ def line_from_sample(sample: Sample) -> str:
         "exposure_s": sample.exposure_s,
         **_record_from_outcome(sample.outcome),
     }
+    if len(sample.velocity):
+        record["velocity"] = sample.velocity.tolist()
+    record |= {key: getattr(sample, key) for key in _HANDOVER_KEYS if getattr(sample, key) not in ("", None)}
     return json.dumps(record, allow_nan=False, separators=(",", ":"))
 
 
@@ -84,7 +88,11 @@ def sample_from_line(line: str) -> Sample:
             outcome=_outcome_from_record(record),
             capture_file=str(record["capture"]),
             attempt=int(record["attempt"]),
-            exposure_s=None if record.get("exposure_s") is None else float(record["exposure_s"]),
+            exposure_s=_float_or_none(record, "exposure_s"),
+            velocity=_array(record.get("velocity", ())),
+            active=str(record.get("active", "")),
+            switched=str(record.get("switched", "")),
+            held_age_s=_float_or_none(record, "held_age_s"),
         )
     except KeyError as error:
         raise ValueError(f"key {error} is missing") from None
@@ -155,6 +163,10 @@ def _outcome_from_record(record: Mapping[str, Any]) -> Outcome:
         calibration_covariance=_covariance_or_none(record.get("calibration_covariance")),
         tracked_count=int(record.get("tracked_count", 0)),
     )
+
+
+def _float_or_none(record: Mapping[str, Any], key: str) -> float | None:
+    return None if record.get(key) is None else float(record[key])
 
 
 def _number(value: float) -> float | None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from uvgs_bench.accuracy.observations import Mount, Role
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.geometry import FloatArray, Pose, read_only
@@ -18,6 +20,10 @@ if TYPE_CHECKING:
     from uvgs_bench.camera.calibration import Calibration
 
 Ending = Literal["completed", "interrupted", "failed", ""]
+
+
+def _no_floats() -> FloatArray:
+    return read_only(np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,12 +38,16 @@ class Sample:
         shot: Number of the capture within the station, from 0.
         role: Whether the station fits the registration or is judged by it.
         t_ns: Instant of mid-exposure, bench time, ns; never runs backwards within a run.
-        target: Commanded machine axis positions, shape (A,), m or rad.
-        position: Machine axis positions reported at rest, shape (A,), m or rad.
+        target: Commanded machine axis positions at that instant, shape (A,), m or rad.
+        position: Machine axis positions reported at rest, in motion those between two reports, shape (A,), m or rad.
         outcome: What the sensor answered.
         capture_file: File of the kept picture, relative to the run folder, or empty.
         attempt: Number of the try at this station, from 0; a resumed run retakes a half-done station.
         exposure_s: Exposure time, s, or None when unknown.
+        velocity: Velocity of the axes by the same reports, shape (A,), m/s or rad/s; empty for a station at rest.
+        active: Beacon that was to be looked at, by name, where there are several; empty where there is one.
+        switched: Why another beacon became active in this capture; empty when none did.
+        held_age_s: Age of the last valid pose that stands in for a miss, s; None when nothing is held.
     """
 
     index: int
@@ -53,10 +63,19 @@ class Sample:
     capture_file: str = ""
     attempt: int = 0
     exposure_s: float | None = None
+    velocity: FloatArray = field(default_factory=_no_floats)
+    active: str = ""
+    switched: str = ""
+    held_age_s: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "target", read_only(self.target, (-1,)))
-        object.__setattr__(self, "position", read_only(self.position, (-1,)))
+        for name in ("target", "position", "velocity"):
+            object.__setattr__(self, name, read_only(getattr(self, name), (-1,)))
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether any axis moved at that instant."""
+        return bool(self.velocity.any())
 
     @property
     def is_solved(self) -> bool:

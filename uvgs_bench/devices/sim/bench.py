@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uvgs_bench.beacon.geometry import Beacon, Led
 from uvgs_bench.camera.lens import Lens
-from uvgs_bench.devices.clock import ScaledClock
+from uvgs_bench.devices.clock import Clock, ScaledClock
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.devices.gantry.grbl_protocol import si_from_controller
 from uvgs_bench.devices.sim.truth import SimulatedTruth
@@ -39,9 +40,11 @@ class SimulatedBench:
         mount: ``beacon_on_carriage`` or ``camera_on_carriage``.
         speed: How much faster than real time the bench runs, > 0.
         seed: Seed in place of the truth's.
+        others: Beacons fixed to this one: beacon_from_other as surveyed, and the beacon as its file says.
+        clock: Bench time in place of one that runs ``speed`` times faster than real time.
 
     Raises:
-        ConfigError: The truth names an LED the beacon does not have, or its lens is impossible.
+        ConfigError: The truth names an LED or a beacon that is not there, or its lens is impossible.
     """
 
     def __init__(
@@ -53,15 +56,17 @@ class SimulatedBench:
         *,
         speed: float = 1.0,
         seed: int | None = None,
+        others: Sequence[tuple[Pose, Beacon]] = (),
+        clock: Clock | None = None,
     ) -> None:
         self.truth = truth
         self.axes = axes
         self.mount = mount
         self.seed = truth.seed if seed is None else seed
-        self.clock = ScaledClock(speed)
+        self.clock: Clock = ScaledClock(speed) if clock is None else clock
         self.true_beacon = displaced_beacon(truth, beacon)
         self.true_lens = true_lens(truth)
-        self.companions: tuple[tuple[Pose, Beacon], ...] = ()
+        self.companions = _displaced_others(truth, others)
         self._true_axes = true_axes(truth, axes)
         is_carried = mount == "beacon_on_carriage"
         self._outer = truth.camera_from_gantry.pose("camera", "gantry" if is_carried else "carriage")
@@ -177,7 +182,13 @@ def live_benches() -> tuple[str, ...]:
 
 
 def start_simulated_bench(
-    bench: Bench, beacon: Beacon, *, speed: float = 1.0, seed: int | None = None
+    bench: Bench,
+    beacon: Beacon,
+    *,
+    speed: float = 1.0,
+    seed: int | None = None,
+    others: Sequence[Beacon] = (),
+    clock: Clock | None = None,
 ) -> SimulatedBench:
     """Start the simulated bench a bench file describes.
 
@@ -186,6 +197,8 @@ def start_simulated_bench(
         beacon: Its beacon as the file says.
         speed: How much faster than real time it runs, > 0.
         seed: Seed in place of the truth's.
+        others: The bench's other beacons as their files say, in its order.
+        clock: Bench time in place of one that runs ``speed`` times faster than real time.
 
     Returns:
         The live bench; close it to take it off the list.
@@ -196,7 +209,8 @@ def start_simulated_bench(
     truth = bench.simulated or SimulatedTruth()
     # What is true is said against the axes as declared, whatever was measured since.
     axes = bench.nominal_axes or bench.envelope.axes
-    return SimulatedBench(truth, beacon, axes, bench.mount, speed=speed, seed=seed)
+    placed = [(other.beacon_from_other, file) for other, file in zip(bench.others, others, strict=True)]
+    return SimulatedBench(truth, beacon, axes, bench.mount, speed=speed, seed=seed, others=placed, clock=clock)
 
 
 def true_lens(truth: SimulatedTruth) -> Lens:
@@ -234,6 +248,22 @@ def displaced_beacon(truth: SimulatedTruth, beacon: Beacon) -> Beacon:
         for led in beacon.leds
     )
     return Beacon(beacon.name, leds, beacon.hue)
+
+
+def _displaced_others(truth: SimulatedTruth, others: Sequence[tuple[Pose, Beacon]]) -> tuple[tuple[Pose, Beacon], ...]:
+    """Where the other beacons truly stand."""
+    names = [beacon.name for _, beacon in others]
+    for name in truth.other_offset_mm:
+        if name not in names:
+            known = ", ".join(names) or "none"
+            raise ConfigError(
+                f"the bench has no other beacon '{name}', it has {known}", key="simulated.other_offset_mm"
+            )
+    placed = []
+    for pose, beacon in others:
+        offset_m = m_from_mm(np.array(truth.other_offset_mm.get(beacon.name, (0.0, 0.0, 0.0))))
+        placed.append((Pose(pose.R, pose.t_m + offset_m, pose.target, pose.source), beacon))
+    return tuple(placed)
 
 
 def true_axes(truth: SimulatedTruth, axes: tuple[Axis, ...]) -> tuple[tuple[str, FloatArray], ...]:

@@ -186,6 +186,8 @@ class SimulatedTruth:
         gantry: What is wrong with the gantry.
         emission_exponent: An LED shines as the cosine to its axis to this power, and not beyond its half angle.
         led_offset_mm: By LED name, how far it truly is from where the beacon file says, beacon frame, mm.
+        other_offset_mm: By beacon name, how far a beacon of ``[[others]]`` truly is from where it was surveyed, in axes
+            of the bench's own beacon, mm.
         lights: Other steady lights.
         glints: Reflections.
         occlusion: Hidden LEDs.
@@ -200,6 +202,7 @@ class SimulatedTruth:
     gantry: TrueGantry = field(default_factory=TrueGantry)
     emission_exponent: float = 1.0
     led_offset_mm: dict[str, Vector] = field(default_factory=dict)
+    other_offset_mm: dict[str, Vector] = field(default_factory=dict)
     lights: tuple[TrueLight, ...] = ()
     glints: Glints = field(default_factory=Glints)
     occlusion: Occlusion = field(default_factory=Occlusion)
