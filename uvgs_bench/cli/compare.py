@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, Json
 from uvgs_bench.errors import ExitCode
 
@@ -40,6 +41,7 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare runs: which figures changed, by how much, and which change could have been seen at all."""
+    compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, out, print_path, verdict_markup
     from uvgs_bench.report import check_replaceable, write_document
     from uvgs_bench.report.compare_page import build_comparison_document

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, IntervalSeed, Json
 from uvgs_bench.errors import ExitCode
 
@@ -27,6 +28,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Judge a run and write its report; exit 0 limits met, 1 limits missed, 3 inconclusive."""
+    compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, print_path
     from uvgs_bench.report import build_document, check_formats, write_document
     from uvgs_bench.store.judging import judge_run

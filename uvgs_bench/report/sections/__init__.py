@@ -45,4 +45,10 @@ FORECAST_SECTIONS: dict[str, str] = {
 }
 """The same for beacons looked at before they are trusted."""
 
-__all__ = ["CALIBRATION_SECTIONS", "FORECAST_SECTIONS", "MEASUREMENT_SECTIONS", "SECTIONS"]
+FOLLOW_SECTIONS: dict[str, str] = {
+    key: f"uvgs_bench.report.sections.follow_{key}:build"
+    for key in ("tracking", "margin", "motion", "losses", "setup", "definitions")
+}
+"""The same for follow sessions."""
+
+__all__ = ["CALIBRATION_SECTIONS", "FOLLOW_SECTIONS", "FORECAST_SECTIONS", "MEASUREMENT_SECTIONS", "SECTIONS"]
