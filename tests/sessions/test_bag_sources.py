@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import spots
-from tests.helpers.bag_files import KINDS, image_note, png_note, write_bag
+from tests.helpers.bag_files import KINDS, camera_info_note, image_note, png_note, write_bag
 from uvgs_bench.cli.app import main
 from uvgs_bench.interop.stamp_file import PictureStamp, stamps_text
 from uvgs_bench.store.beacons import write_beacon
@@ -73,3 +73,40 @@ def test_bags_one_after_the_other_are_one_stream(bench, expected, tmp_path):
         write_bag(tmp_path / kind, kind, [note]) for kind, note in zip(("db3", "ros1", "mcap"), notes, strict=True)
     ]
     assert poses(f"bag:{','.join(map(str, parts))}", folder, tmp_path / "poses.csv") == expected
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap-dir"])
+def test_the_path_of_a_bag_is_enough_and_its_lens_is_taken(bench, expected, tmp_path, capfd, kind):
+    folder, images, stamps = bench
+    lens = spots.lens()
+    notes = [camera_info_note(lens, stamps[0]), *(image_note(*pair) for pair in zip(images, stamps, strict=True))]
+    path, out = write_bag(tmp_path, kind, notes), tmp_path / "poses.csv"
+    assert uvgs("run", path, "--beacon", folder / "beacon.toml", "--out", out) == 0
+    assert "the lens is that of /cam/camera_info; how sure it is, is not known" in capfd.readouterr().err
+    columns = [line.split(",") for line in out.read_text().splitlines()]
+    assert [line[3] for line in columns[1:]] == ["ok"] * 3
+    # The calibration has the same numbers, and here no more doubt.
+    assert spots.calibration().covariance is None
+    assert [",".join(line[:1] + line[2:]) for line in columns] == expected
+    bare = write_bag(tmp_path, kind, notes[1:], "bare")
+    assert uvgs("run", bare, "--beacon", folder / "beacon.toml", "--out", out, "--force") == 2
+    assert "--camera: is needed unless" in capfd.readouterr().err
+
+
+def test_a_cut_bag_is_solved_as_far_as_it_goes(bench, expected, tmp_path, capfd):
+    folder, images, stamps = bench
+    path = write_bag(tmp_path, "ros1", [image_note(*pair) for pair in zip(images, stamps, strict=True)])
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    lines = poses(f"bag:{path}", folder, tmp_path / "poses.csv")
+    assert 2 <= len(lines) <= 3
+    assert lines == expected[: len(lines)]
+    said = capfd.readouterr().err
+    assert "read record by record" in said
+    assert "ends in the middle of a" in said
+    path.write_bytes(whole[:5000])
+    setup = ("--camera", folder / "camera.yaml", "--beacon", folder / "beacon.toml")
+    assert uvgs("run", path, *setup, "--out", tmp_path / "none.csv") == 4
+    said = capfd.readouterr().err
+    assert "has no message that can be read" in said
+    assert "Traceback" not in said
