@@ -122,7 +122,7 @@ def judge_track(track: FollowTrack, tolerance_m: float, tolerance_rad: float, se
         track: The track.
         tolerance_m: Position error that counts as in tolerance, m.
         tolerance_rad: Attitude error that counts as in tolerance, rad.
-        settle_s: How long after a loss of sight an error counts as steady again, s.
+        settle_s: How long after a loss of sight an error counts as steady again, s, unless recovery took longer.
 
     Returns:
         The figures; NaN where nothing can be said.
@@ -134,9 +134,10 @@ def judge_track(track: FollowTrack, tolerance_m: float, tolerance_rad: float, se
     spans = _losses(track)
     losses = tuple(_behaviour(track, error_m, within, begin, end) for begin, end in spans)
     is_upset = np.zeros(len(error_m), dtype=bool)
-    for begin, end in spans:
-        until_s = track.t_s[min(end, len(error_m) - 1)] + settle_s
-        is_upset |= (track.t_s >= track.t_s[begin]) & (track.t_s <= until_s)
+    for loss in losses:
+        recovery_s = np.inf if loss.recovery_s is None else loss.recovery_s
+        until_s = loss.begin_s + loss.duration_s + max(settle_s, recovery_s)
+        is_upset |= (track.t_s >= loss.begin_s) & (track.t_s <= until_s)
     first = int(np.argmax(within)) if within.any() else len(error_m)
     after = is_known & (np.arange(len(error_m)) >= first)
     steady = after & track.is_calm & ~is_upset

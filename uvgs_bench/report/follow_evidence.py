@@ -32,7 +32,8 @@ class FollowEvidence:
         wanted_deg: Wanted yaw, pitch, roll, shape (n, 3), deg.
         true_deg: True ones; NaN when unknown.
         sensed_deg: Sensed ones; NaN without a pose.
-        hues: Instant, s, and hue from then on, for each change of the leader's hue, the first included.
+        hues: Instant, s, and hue from then on, for each change of the leader's hue, the first included; empty when it
+            never changed.
     """
 
     run: FollowRun
@@ -79,7 +80,7 @@ def follow_evidence(run: FollowRun) -> FollowEvidence:
             hues.append((float(t_s), cycle.hue))
     return FollowEvidence(
         run, quality, verdict, headline, track, is_true, places[0], places[1], places[2], places[3],
-        angles[1], angles[2], angles[3], tuple(hues),
+        angles[1], angles[2], angles[3], tuple(hues) if len(hues) > 1 else (),
     )  # fmt: skip
 
 
