@@ -24,7 +24,7 @@ from uvgs_bench.accuracy.led_evidence import blamed_leds
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_sensitivity import pose_pixel_jacobian
 from uvgs_bench.accuracy.registration import Registration
-from uvgs_bench.accuracy.suspects import Suspect, of_refusals, of_turned_poses
+from uvgs_bench.accuracy.suspects import Diagnosis, SightLimit, Suspect, of_refusals, of_turned_poses
 from uvgs_bench.accuracy.tangent import hats
 from uvgs_bench.accuracy.variance_components import Visits, fit_scatter, means, visits_of, whitened
 from uvgs_bench.camera.lens import Lens
@@ -37,8 +37,14 @@ LEAST_VISITS = 12
 # The parts of the scatter are estimates too: alarms come a little more often than said, and must stay below 5 %.
 _ALPHA = 0.03
 _MOST_SUSPECTS = 4
+# Chance with which a cause at its limit of sight is named.
+_POWER = 0.95
 # Difference of the information criterion beyond which one cause is clearly better: odds of 150 to 1.
 _CLEARLY = 10.0
+_UNTRIED = (
+    SightLimit("latency", "late stamps: no capture was taken in motion", "ms", float("inf")),
+    SightLimit("backlash", "play: no axis came to places from both sides", "mm", float("inf")),
+)
 # Captures this many usual lengths from the middle of their visit are disturbed, with noise once in 10000 captures.
 _FAR = 6.5
 # Chance of a run to hold a place set aside for no reason, and how often places are looked through.
@@ -65,13 +71,34 @@ def diagnose(
         explains, are set aside for the search and counted in the evidence. Fewer than ``LEAST_VISITS`` visits with a
         pose say nothing by their residuals.
     """
+    return examine(obs, registration, lens, leds_m, led_names).suspects
+
+
+def examine(
+    obs: Observations, registration: Registration | None, lens: Lens, leds_m: FloatArray, led_names: tuple[str, ...]
+) -> Diagnosis:
+    """As ``diagnose``, with how large each cause would have to be to be named.
+
+    Args:
+        obs: As for ``diagnose``.
+        registration: As for ``diagnose``.
+        lens: As for ``diagnose``.
+        leds_m: As for ``diagnose``.
+        led_names: As for ``diagnose``.
+
+    Returns:
+        Suspects, and the limits of sight of this run.
+    """
     blamed = blamed_leds(obs, lens, leds_m)
-    found = () if registration is None else _by_residuals(obs, registration, lens, leds_m, led_names, blamed)
+    found: tuple[Suspect, ...] = ()
+    limits: tuple[SightLimit, ...] = ()
+    if registration is not None:
+        found, limits = _by_residuals(obs, registration, lens, leds_m, led_names, blamed)
     refused = of_refusals(obs, tuple(led_names[k] for k in blamed))
     if refused is not None and all(suspect.cause != refused.cause for suspect in found):
         # When most captures are refused, the poses of the others are what the same cause has left of them.
         found = (refused, *found) if 2 * int(obs.is_solved.sum()) < obs.count else (*found, refused)
-    return tuple(replace(suspect, rank=k + 1) for k, suspect in enumerate(found))
+    return Diagnosis(tuple(replace(suspect, rank=k + 1) for k, suspect in enumerate(found)), limits)
 
 
 def _by_residuals(
@@ -81,12 +108,12 @@ def _by_residuals(
     leds_m: FloatArray,
     led_names: tuple[str, ...],
     blamed: tuple[int, ...],
-) -> tuple[Suspect, ...]:
-    """Suspects by what the poses say."""
+) -> tuple[tuple[Suspect, ...], tuple[SightLimit, ...]]:
+    """Suspects by what the poses say, and what they could have said."""
     data = obs.select(obs.is_solved)
     data = data.select(_can_be_seen(data, registration, lens, leds_m))
     if len(np.unique(data.station)) < LEAST_VISITS:
-        return ()
+        return (), ()
     residual = pose_residuals(data, *registration.predict(data))
     noise = _noise(data, registration, lens, leds_m)
     distance = _lengths(residual, noise + gantry_covariance(registration.gantry_sigma_m))
@@ -96,7 +123,7 @@ def _by_residuals(
     search: _Search | None = None
     for _ in range(_CLEANINGS):
         if len(np.unique(kept.station)) < LEAST_VISITS:
-            return wrong
+            return wrong, ()
         possible = signatures(kept, registration, lens, leds_m, led_names, blamed)
         search = _Search(kept, registration, lens, leds_m, possible)
         strays = search.stray_places()
@@ -104,7 +131,7 @@ def _by_residuals(
             break
         kept = kept.select(~np.isin(kept.place, strays))
     aside = int((~turned).sum()) - kept.count
-    return wrong if search is None else wrong + search.suspects(aside)
+    return (wrong, ()) if search is None else (wrong + search.suspects(aside), search.limits())
 
 
 class _Search:
@@ -135,6 +162,7 @@ class _Search:
         self.left = _off(self.basis, white[:, :1])[:, 0]
         self.observed = white[:, 0]
         self.count = len(white)
+        self.asked = possible
         self.possible: list[Signature] = []
         self.columns: list[FloatArray] = []
         for signature, first, last in zip(possible, ends[1:-1], ends[2:], strict=True):
@@ -192,6 +220,23 @@ class _Search:
             # Another instant, LED or axis of the same cause may still be named, but not one the first has used up.
             open_ones = [k for k in open_ones if k != best and not (cause == "slip" == self.possible[k].cause)]
         return self._described(chosen, found, aside)
+
+    def limits(self) -> tuple[SightLimit, ...]:
+        """How large each cause of a single size must be to stand out on an otherwise clean bench."""
+        if not self.possible:
+            return ()
+        gain = _gain_for_power(_ALPHA / len(self.possible), self.freedom)
+        found = []
+        for signature in self.asked:
+            if signature.effect.shape[2] > 1:
+                continue
+            least = float("inf")
+            if signature in self.possible:
+                free = _off(self.basis, self.columns[self.possible.index(signature)])
+                least = float(np.sqrt(gain) / np.linalg.norm(free)) * signature.per_unit
+            found.append(SightLimit(signature.cause, signature.title, signature.unit, least))
+        tried = {limit.cause for limit in found}
+        return (*found, *(limit for limit in _UNTRIED if limit.cause not in tried))
 
     def _gain(self, basis: FloatArray, left: FloatArray, k: int) -> float:
         """How much of the squared residual a cause explains beside a basis."""
@@ -275,6 +320,15 @@ def _explained(visits: Visits, averaged: list[FloatArray]) -> tuple[FloatArray, 
         if left >= 3 * columns.shape[2]:
             break
     return columns, max(left, 1)
+
+
+def _gain_for_power(chance: float, freedom: int) -> float:
+    """Squared residual a cause with one size must explain, so that the F test at a chance finds it 19 times of 20."""
+    from scipy.optimize import brentq
+    from scipy.stats import f, ncf
+
+    bound = float(f.isf(chance, 1, freedom))
+    return float(brentq(lambda gain: float(ncf.sf(bound, 1, freedom, gain)) - _POWER, bound, 25.0 * bound))
 
 
 def _lengths(residual: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -9,14 +9,14 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, Estimate
-from uvgs_bench.accuracy.diagnosis import diagnose
+from uvgs_bench.accuracy.diagnosis import examine
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
 from uvgs_bench.accuracy.quantities import Quantity, quantities
 from uvgs_bench.accuracy.quantity_catalogue import LIMITABLE
 from uvgs_bench.accuracy.registration import GANTRY_SIGMA_M, LEAST_STATIONS, Registration, fit_registration
 from uvgs_bench.accuracy.statistics import AccuracySummary, Availability, availability, summarise
-from uvgs_bench.accuracy.suspects import Suspect
+from uvgs_bench.accuracy.suspects import Diagnosis, SightLimit, Suspect
 from uvgs_bench.accuracy.uncertainty import Budget, BudgetInputs, uncertainty_budget
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.lens import Lens
@@ -148,6 +148,7 @@ class Judgement:
         budget: The uncertainty budget of the captures that judge, or None.
         quantities: Named figures of the captures that judge, with their definitions; of groups of them too.
         diagnosis: Causes the residuals of all captures point to, the likeliest first; empty when nothing stands out.
+        sight_limits: How large causes would have to be to be named in a run like this; empty when none were sought.
     """
 
     registration: Registration | None
@@ -163,6 +164,7 @@ class Judgement:
     budget: Budget | None = None
     quantities: tuple[Quantity, ...] = ()
     diagnosis: tuple[Suspect, ...] = ()
+    sight_limits: tuple[SightLimit, ...] = ()
 
 
 _FOLDS = 5
@@ -221,7 +223,7 @@ def judge(
             _overall(verdicts),
             _sorted(alerts),
             "nothing to judge",
-            diagnosis=_diagnosis(obs, None, lens, beacon),
+            diagnosis=_diagnosis(obs, None, lens, beacon).suspects,
         )
     in_sample = error_table(fitted_on, registration)
     summary = summarise(table, rng)
@@ -235,6 +237,7 @@ def judge(
         )
     if not limits:
         alerts.append(Alert("note", "no limits were given: there is nothing to pass or fail"))
+    examined = _diagnosis(obs, registration, lens, beacon)
     return Judgement(
         registration=registration,
         in_sample_table=in_sample,
@@ -248,16 +251,17 @@ def judge(
         split=split,
         budget=uncertainty_budget(judged, table, registration, fitted_on, known or BudgetInputs(), rng),
         quantities=named,
-        diagnosis=_diagnosis(obs, registration, lens, beacon),
+        diagnosis=examined.suspects,
+        sight_limits=examined.limits,
     )
 
 
 def _diagnosis(
     obs: Observations, registration: Registration | None, lens: Lens | None, beacon: Beacon | None
-) -> tuple[Suspect, ...]:
+) -> Diagnosis:
     if lens is None or beacon is None:
-        return ()
-    return diagnose(obs, registration, lens, beacon.positions_m, beacon.led_names)
+        return Diagnosis(())
+    return examine(obs, registration, lens, beacon.positions_m, beacon.led_names)
 
 
 def _register_and_judge(

@@ -56,6 +56,36 @@ class Suspect:
     alternative_causes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class SightLimit:
+    """How large a cause must be to be named in a run like this one.
+
+    Args:
+        cause: Stable word.
+        title: What would be wrong, in words.
+        unit: Unit of ``least``.
+        least: Size that is named 19 times of 20; inf when this run cannot show it, whatever its size.
+    """
+
+    cause: str
+    title: str
+    unit: str
+    least: float
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What a run points to, and what it could have shown.
+
+    Args:
+        suspects: The likeliest first; empty when nothing stands out.
+        limits: One for each cause with a single size, in the order of the signatures; empty when nothing was searched.
+    """
+
+    suspects: tuple[Suspect, ...]
+    limits: tuple[SightLimit, ...] = ()
+
+
 def of_turned_poses(obs: Observations, turned: NDArray[np.bool_]) -> Suspect:
     """Poses that are another one altogether, as exchanged labels give.
 

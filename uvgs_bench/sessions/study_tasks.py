@@ -13,14 +13,14 @@ from uvgs_bench.accuracy import Registration, error_table, fit_registration, jud
 from uvgs_bench.accuracy.bench_model import predicted
 from uvgs_bench.accuracy.blind_bench import BlindBench, observe, planted, random_bench, standard_stations
 from uvgs_bench.accuracy.clusters import Estimate
-from uvgs_bench.accuracy.diagnosis import diagnose
+from uvgs_bench.accuracy.diagnosis import examine
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.statistics import AccuracySummary, summarise
 from uvgs_bench.accuracy.tangent import hats, rotation_logs
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.sessions.study_runner import Row
-from uvgs_bench.units import m_from_mm, rad_from_mrad, s_from_ms
+from uvgs_bench.units import m_from_mm, mrad_from_rad, percent_from_fraction, rad_from_mrad, s_from_ms
 
 PLANTED: dict[str, tuple[float, int]] = {
     "led_offset": (m_from_mm(1.0), 12),
@@ -31,7 +31,9 @@ PLANTED: dict[str, tuple[float, int]] = {
     "backlash": (m_from_mm(0.1), 1),
 }
 """Causes the diagnosis must find: size and number of places it may sit at."""
-DIAGNOSIS_KINDS = ("clean", *PLANTED)
+ALONG = "_seen_along_an_axis"
+"""Ending of kinds whose camera looks along a gantry axis, where less can be told apart."""
+DIAGNOSIS_KINDS = ("clean", *PLANTED, *(f"{cause}{ALONG}" for cause in ("squareness", "axis_scale", "focal_length")))
 LAYOUTS: dict[str, tuple[float, float, float]] = {
     "box": (0.14, 0.14, 0.12),
     "half the box": (0.07, 0.07, 0.06),
@@ -47,6 +49,12 @@ PLANNING_KINDS: tuple[tuple[int, int, str], ...] = (
 PLANNED_HALF = 0.2
 """Half an interval over its figure that a plan should reach."""
 
+# Units people read the sizes of causes in, per SI unit.
+_READ_PER_SI = {
+    "axis_scale": percent_from_fraction(1.0),
+    "focal_length": percent_from_fraction(1.0),
+    "squareness": mrad_from_rad(1.0),
+}
 _LED_NAMES = ("1", "2", "3", "4")
 _POPULATION = 4000
 _AXES: dict[str, tuple[str, tuple[int, ...]]] = {
@@ -101,27 +109,35 @@ def diagnosis_bench(rng: np.random.Generator, number: int) -> Row:
         number: The bench's number; its remainder says which of ``DIAGNOSIS_KINDS`` it is.
 
     Returns:
-        ``kind``; ``named``: causes in the order named; ``right``: whether the first names the planted part, too.
+        ``kind``; ``named``: causes in the order named; ``right``: whether the first names the planted part, too;
+        ``alike``: causes the first could not be told from; ``beyond``: whether the run said that it could not show the
+        planted cause at its size.
     """
     kind = DIAGNOSIS_KINDS[number % len(DIAGNOSIS_KINDS)]
-    bench = random_bench(rng)
-    index, sign = 0, 1.0
-    if kind != "clean":
-        size, places = PLANTED[kind]
+    cause = kind.removesuffix(ALONG)
+    bench = random_bench(rng, is_oblique=cause == kind)
+    size, index, sign = 0.0, 0, 1.0
+    if cause != "clean":
+        size, places = PLANTED[cause]
         index, sign = int(rng.integers(places)), float(rng.choice((-1.0, 1.0)))
         # Play has no sign.
-        bench = planted(bench, kind, size if kind == "backlash" else sign * size, index)
+        bench = planted(bench, cause, size if cause == "backlash" else sign * size, index)
     obs = observe(bench, standard_stations(rng), rng)
     registration: Registration | None = None
     # A sensor that refuses the fits of a wrong beacon leaves nothing to register, and still something to diagnose.
     with suppress(RegistrationError):
         registration = fit_registration(obs, gantry_sigma_m=bench.gantry_repeatability_m)
-    suspects = diagnose(obs, registration, bench.lens, bench.leds_m, _LED_NAMES)
-    named = [suspect.cause for suspect in suspects]
-    like = list(suspects[0].alternatives) if suspects else []
-    part = _part(kind, index)
-    right = bool(suspects) and named[0] == kind and part in suspects[0].title
-    return {"kind": kind, "named": named, "right": right, "alike": like}
+    found = examine(obs, registration, bench.lens, bench.leds_m, _LED_NAMES)
+    named = [suspect.cause for suspect in found.suspects]
+    part = _part(cause, index)
+    limits = [limit.least for limit in found.limits if limit.cause == cause and part in limit.title]
+    return {
+        "kind": kind,
+        "named": named,
+        "right": bool(named) and named[0] == cause and part in found.suspects[0].title,
+        "alike": list(found.suspects[0].alternative_causes) if named else [],
+        "beyond": bool(limits) and min(limits) > size * _READ_PER_SI.get(cause, 1.0),
+    }
 
 
 def planning_bench(rng: np.random.Generator, number: int) -> Row:

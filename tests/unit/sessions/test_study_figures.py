@@ -84,6 +84,20 @@ def test_a_bench_that_cannot_be_registered_names_nothing() -> None:
     assert latency.note == "named at all 2, alone 0, right part first 1"
 
 
+def test_along_an_axis_saying_why_not_counts() -> None:
+    kind = "squareness_seen_along_an_axis"
+    rows = [
+        {"kind": kind, "named": ["squareness"], "right": True, "alike": [], "beyond": False},
+        {"kind": kind, "named": ["principal_point"], "right": False, "alike": ["squareness"], "beyond": True},
+        {"kind": kind, "named": [], "right": False, "alike": [], "beyond": True},
+        {"kind": kind, "named": [], "right": False, "alike": [], "beyond": False},
+        {"kind": kind, "named": ["drift"], "right": False, "alike": [], "beyond": True},
+    ]
+    share = next(share for share in diagnosis_table(rows) if "along" in share.name)
+    assert (share.hits, share.count) == (3, 5)
+    assert share.note == "named first 1, with what looks alike 1, said to be beyond this run 1"
+
+
 def test_planning_counts_open_intervals_as_too_wide() -> None:
     name = planning_name(*PLANNING_KINDS[0])
     rows = [
