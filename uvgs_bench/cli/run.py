@@ -162,7 +162,7 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Solve every capture and write its pose, or why there is none. Ctrl-C keeps what was written."""
-    from time import monotonic_ns, perf_counter
+    from time import perf_counter
 
     from uvgs_bench.cli import run_record
     from uvgs_bench.cli.console import progress_sink
@@ -177,7 +177,6 @@ def run(
     from uvgs_bench.sessions.outlets import StreamSetup
     from uvgs_bench.sessions.stream import StreamRules, solve_source
     from uvgs_bench.sessions.tally import Tally
-    from uvgs_bench.units import s_from_ns
 
     options = OutletOptions(tuple(out or ()), compression, annotated, astrobee, udp, rate_hz, debug_images, force)
     options.check(record)
@@ -187,20 +186,21 @@ def run(
         again = run_record.recording_of(source, stack, sink)
         recorded = recorded_run(source) if again is None else None
         own = None if again is None else again.setup
-        calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config, own)
+        if again is None:
+            opened = open_captures(source, recorded, stack, sink, reconnect_s)
+        else:
+            opened = run_record.replayed(again)
+        calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config, own, opened)
         names = tuple(lights.name for lights in beacons)
         policy = handover_policy(handover, zone_m or [], hold_s, names, active)
         rules = StreamRules(limit, track, threads, policy, active, DifferenceConfig() if difference else None)
         if again is not None:
             rules = run_record.replayed_rules(rules, again, given_options(context))
-            opened = run_record.replayed(again)
-        else:
-            opened = open_captures(source, recorded, stack, sink, reconnect_s)
         recorder = None
         if record is not None:
             recorder, opened = run_record.open_recorder(record, opened, compression, stack, force=force)
         sensors = {lights.name: Uvgs(calibration, lights, parameters, clock=perf_counter) for lights in beacons}
-        loop = None if again is None else run_record.replayed_exposure(again, sensors)
+        loop = None if again is None else run_record.replayed_exposure(again, opened.exposure, sensors)
         if auto_exposure and loop is None:
             loop = exposure_loop(opened.exposure, source, sensors, max_exposure_ms)
         setup = StreamSetup(source, calibration, tuple(beacons), parameters, sensors)
@@ -231,13 +231,8 @@ def run(
                 is_live=opened.is_live,
             )
             for answered in stream:
-                if opened.live is not None:
-                    tally.add_latency(s_from_ns(monotonic_ns() - answered.capture.t_ns))
+                tally.take(answered.lines, None if opened.live is None else opened.live.age_s(answered.capture))
                 outlets.put(answered)
-                for name, (outcome, note) in answered.lines.items():
-                    tally.add(name, outcome, note.flags, is_active=note.is_active)
-                tally.captures += 1
-                tally.exposure_changes += any(note.next_exposure_s for _, note in answered.lines.values())
         except KeyboardInterrupt:
             is_interrupted = True
     if opened.live is not None:

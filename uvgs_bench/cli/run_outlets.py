@@ -131,8 +131,6 @@ def _bag(path: Path, setup: StreamSetup, options: OutletOptions) -> Outlet:
     annotate: dict[str, Annotate] = {}
     if options.annotated:
         annotate = {name: partial(draw_debug_image, uvgs=uvgs) for name, uvgs in setup.sensors.items()}
-    if options.astrobee is not None:
-        _warn_of_minimum(setup, sink)
     fitting = {".bag": "bz2", ".mcap": "zstd"}[path.suffix] == options.compression
     compression = options.compression if fitting and options.compression else "none"
     bag = NewBag(path, compression=compression, version=options.astrobee, force=options.force)

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from uvgs_bench.cli.run_setup import OpenedSource
+    from uvgs_bench.devices.cameras.source import ExposureControl
     from uvgs_bench.sensor.uvgs import Uvgs
     from uvgs_bench.sessions.events import EventSink
     from uvgs_bench.sessions.exposure_loop import ExposureLoop
@@ -55,9 +56,9 @@ def replayed(recording: Recording) -> OpenedSource:
     """The captures of a record, with what came from outside while they were solved."""
     from uvgs_bench.cli.run_setup import OpenedSource
 
-    return OpenedSource(
-        recording.captures(), recording.total, flags_of=recording.flags_of, is_live=recording.setup.is_live
-    )
+    setup = recording.setup
+    control = None if setup.camera is None else recording.exposure(setup.camera)
+    return OpenedSource(recording.captures(), recording.total, control, None, recording.flags_of, setup.is_live)
 
 
 def replayed_rules(asked: StreamRules, recording: Recording, given: frozenset[str]) -> StreamRules:
@@ -83,12 +84,14 @@ def replayed_rules(asked: StreamRules, recording: Recording, given: frozenset[st
     )
 
 
-def replayed_exposure(recording: Recording, sensors: dict[str, Uvgs]) -> ExposureLoop | None:
-    """The exposure loop of a record with a camera that answers as the recorded one did, or None."""
+def replayed_exposure(
+    recording: Recording, control: ExposureControl | None, sensors: dict[str, Uvgs]
+) -> ExposureLoop | None:
+    """The exposure loop of a record around a camera that answers as the recorded one did, or None."""
     from uvgs_bench.sessions.exposure_loop import ExposureLoop
 
     camera = recording.setup.camera
-    return None if camera is None else ExposureLoop(recording.exposure(camera), sensors, camera.policy)
+    return None if camera is None or control is None else ExposureLoop(control, sensors, camera.policy)
 
 
 def open_recorder(

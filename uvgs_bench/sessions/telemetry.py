@@ -40,7 +40,8 @@ class RateLimit:
             return False
         # Along a raster, so that a camera a little faster than the limit does not lose every second capture.
         due_s = now_s if self._due_s is None else self._due_s
-        self._due_s = max(due_s + self._period_s, now_s)
+        following_s = due_s + self._period_s
+        self._due_s = following_s if following_s > now_s else now_s + self._period_s
         return True
 
     def told(self) -> int:
