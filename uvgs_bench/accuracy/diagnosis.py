@@ -30,7 +30,7 @@ from uvgs_bench.accuracy.variance_components import Visits, fit_scatter, means, 
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray
 
-__all__ = ["LEAST_VISITS", "Suspect", "diagnose"]
+__all__ = ["LEAST_VISITS", "Diagnosis", "SightLimit", "Suspect", "diagnose", "examine"]
 
 LEAST_VISITS = 12
 """With fewer visits nothing is diagnosed: too little is left once the registration is fitted."""
