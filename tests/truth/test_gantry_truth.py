@@ -13,12 +13,13 @@ from uvgs_bench.accuracy.axis_calibration import fit_axis_errors, true_direction
 from uvgs_bench.camera.boards import BoardView
 from uvgs_bench.camera.calibration import Calibration
 from uvgs_bench.camera.lens import Lens
-from uvgs_bench.devices.gantry.axes import gantry_from_carriage
+from uvgs_bench.devices.gantry.axes import Axis, gantry_from_carriage
 from uvgs_bench.devices.sim.bench import true_axes
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry.se3 import so3_exp
-from uvgs_bench.sessions.characterise import Options
+from uvgs_bench.sessions.characterise import Options, Reading, Visit
+from uvgs_bench.sessions.judge_gantry import Judge, judge_gantry
 from uvgs_bench.store.gantry_records import GantryRecord, measured_axes
 
 pytestmark = pytest.mark.opencv
@@ -100,6 +101,45 @@ def test_the_doubts_of_board_and_lens_are_in_the_covariance() -> None:
     added = np.sqrt(lens.sigmas**2 - sure.sigmas**2)
     assert added[1] == pytest.approx(1.0 / 1002.0, rel=0.05)
     assert added[[0, 2]].max() < 0.2 / 1002.0
+
+
+def bent_views(seed: int, bend_m: float) -> tuple[list[BoardView], np.ndarray]:
+    """Pictures, and places as told by axes of which the first is off by a parabola."""
+    views, places = views_of(seed, "beacon_on_carriage", 0.04, 1e-5)
+    u = places[:, 0] / 0.15
+    return views, places + np.column_stack([bend_m * (0.5 - 1.5 * u * u), np.zeros_like(u), np.zeros_like(u)])
+
+
+def bends(seed: int, bend_m: float) -> tuple[np.ndarray, np.ndarray]:
+    views, told = bent_views(seed, bend_m)
+    errors = fit_axis_errors(views, told, np.eye(3), Calibration(LENS, "true"))
+    return errors.bend_m, errors.bend_chance
+
+
+def test_a_scale_that_changes_along_an_axis_is_noticed_and_others_are_not() -> None:
+    for seed in range(2):
+        bend_m, chance = bends(seed, 5e-5)
+        # m; four levels of X with 10 um of repeatability, 12 pictures each.
+        assert bend_m[0] == pytest.approx(5e-5, abs=1.5e-5)
+        assert chance[0] < 1e-3
+        assert np.all(chance[1:] > 1e-3)
+    straight = np.array([bends(seed, 0.0)[1] for seed in range(10, 16)])
+    # 18 chances: one below 1e-3 has a chance of 2 %, and the seeds are fixed.
+    assert np.all(straight > 1e-3)
+
+
+def test_the_record_says_that_a_changing_scale_is_not_corrected() -> None:
+    views, told = bent_views(3, 5e-5)
+    axes = [Axis(name, "linear", row, -0.2, 0.2, 0.05, 0.2) for name, row in zip("XYZ", np.eye(3), strict=True)]
+    readings = [
+        Reading(Visit("squareness", -1, place, (place,)), 0.0, place, view=view)
+        for view, place in zip(views, told, strict=True)
+    ]
+    judge = Judge("corners", Calibration(LENS, "true"), board_sigma=0.0)
+    record = judge_gantry(readings, axes, judge, Options(tests=("squareness",)), "bench", "2026-01-01T00:00:00Z")
+    assert record.axes[0].bend_mm == pytest.approx(0.05, abs=0.015)
+    assert record.axes[1].bend_mm is record.axes[2].bend_mm is None
+    assert [remark for remark in record.remarks if "axis X has no constant scale" in remark]
 
 
 def test_places_on_a_plane_are_refused() -> None:

@@ -28,6 +28,8 @@ _STEP = 1e-6
 # Range in which the scatter of places is looked for, as shares of that of corners, m/px.
 _TINIEST, _LARGEST = 1e-8, 1e-1
 _EXACT_PX2 = 1e-16
+# Of half the way along an axis: places nearer than this are one.
+_APART = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +46,9 @@ class AxisErrors:
         view_count: Number of pictures.
         place_sigma_m: Scatter of the places about the fit along each linear axis, shape (L,), m: what the axes do not
             repeat, and the pictures' own scatter.
+        bend_m: Largest deviation of each axis from a constant scale, as a polynomial of third order (second where only
+            three places were seen) has it, shape (L,), m; NaN with fewer places.
+        bend_chance: Chance that an axis without any shows as much, shape (L,); NaN likewise.
     """
 
     scale: FloatArray
@@ -52,6 +57,8 @@ class AxisErrors:
     rms_px: float
     view_count: int
     place_sigma_m: FloatArray
+    bend_m: FloatArray
+    bend_chance: FloatArray
 
     @property
     def sigmas(self) -> FloatArray:
@@ -270,13 +277,8 @@ class _Fit:
         self, state: tuple[FloatArray, FloatArray, FloatArray, FloatArray], calibration: Calibration, board_sigma: float
     ) -> AxisErrors:
         residual, J, by_lens = self.linearised(*state)
-        V, U = len(self.positions_m), J.shape[1]
-        M, scores = self.normal(residual, J)
-        inverse = np.linalg.inv(M.sum(axis=0))
-        # Pictures are the independent things, not corners. Each counts with the residual it has when it is left out of
-        # the fit, or the far ends would look too good.
-        left_out = np.array([np.linalg.solve(np.eye(U) - m @ inverse, g) for m, g in zip(M, scores, strict=True)])
-        covariance = inverse @ (left_out.T @ left_out) @ inverse
+        V = len(self.positions_m)
+        inverse, covariance = self._solved(residual, J)
         if calibration.covariance is not None:
             K = inverse @ np.sum([self._times(J, by_lens, rows) for rows in self._rows], axis=0)
             covariance = covariance + K @ calibration.covariance @ K.T
@@ -284,6 +286,7 @@ class _Fit:
         L = self.axis_count
         covariance[:L, :L] += board_sigma**2
         errors = state[3]
+        bends = np.array([self._bend(axis, state, residual, J) for axis in range(L)])
         return AxisErrors(
             scale=read_only(errors[:L]),
             shear_rad=read_only(errors[L:]),
@@ -291,7 +294,51 @@ class _Fit:
             rms_px=float(np.sqrt(np.mean(residual**2))),
             view_count=V,
             place_sigma_m=self._place_sigma_m(state, residual, J),
+            bend_m=read_only(bends[:, 0]),
+            bend_chance=read_only(bends[:, 1]),
         )
+
+    def _solved(self, residual: FloatArray, J: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Inverse of the normal matrix, and the covariance of what was fitted, both (U, U).
+
+        Pictures are the independent things, not corners. Each counts with the residual it has when it is left out of
+        the fit, or the far ends would look too good.
+        """
+        M, scores = self.normal(residual, J)
+        inverse = np.linalg.inv(M.sum(axis=0))
+        one = np.eye(len(inverse))
+        left_out = np.array([np.linalg.solve(one - m @ inverse, g) for m, g in zip(M, scores, strict=True)])
+        return inverse, inverse @ (left_out.T @ left_out) @ inverse
+
+    def _bend(
+        self,
+        axis: int,
+        state: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+        residual: FloatArray,
+        J: FloatArray,
+    ) -> tuple[float, float]:
+        """Largest deviation of an axis from a constant scale, m, and the chance of it without any: a Wald test."""
+        from scipy.stats import f
+
+        q = self.positions_m[:, axis]
+        half = 0.5 * float(np.ptp(q))
+        place_count = 1 + int(np.sum(np.diff(np.sort(q)) > _APART * half))
+        orders = range(2, min(3, place_count - 1) + 1)
+        if not orders:
+            return np.nan, np.nan
+        basis = np.eye(4)[:, orders]
+        shapes = np.polynomial.legendre.legval((q - q.min()) / half - 1.0, basis)
+        along = self._sign * state[1] @ self._true(state[3])[axis]
+        added = (J[:, 6:9] @ along)[:, None] * shapes.T[np.repeat(self.view, 2)]
+        wide = np.column_stack([J, added])
+        M, scores = self.normal(residual, wide)
+        step = np.linalg.solve(M.sum(axis=0), scores.sum(axis=0))
+        _, covariance = self._solved(residual - wide @ step, wide)
+        c, C = step[-len(orders) :], covariance[-len(orders) :, -len(orders) :]
+        square = float(c @ np.linalg.solve(C, c)) / len(orders)
+        chance = float(f.sf(square, len(orders), max(1, len(q) - wide.shape[1])))
+        curve = np.polynomial.legendre.legval(np.linspace(-1.0, 1.0, 41), basis @ c)
+        return float(np.abs(curve).max()), chance
 
     def _place_sigma_m(
         self, state: tuple[FloatArray, FloatArray, FloatArray, FloatArray], residual: FloatArray, J: FloatArray

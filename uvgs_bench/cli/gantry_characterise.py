@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _FIGURES = (
     ("scale", "scale_ppm", "ppm", 0),
     ("  its doubt, 1 s", "scale_sigma_ppm", "ppm", 0),
+    ("bend, not corrected", "bend_mm", "mm", 3),
     ("repeatability R, both ways", "repeatability_mm", "mm", 3),
     ("repeatability R, from below", "repeatability_up_mm", "mm", 3),
     ("repeatability R, from above", "repeatability_down_mm", "mm", 3),

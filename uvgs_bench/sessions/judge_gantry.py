@@ -28,6 +28,8 @@ _WIDEST_SHARE = 0.6
 _VAGUE_SHARE = 0.2
 # Of the repeatability, from which on the instrument hides the axis.
 _OWN_SHARE = 0.5
+# Below this, a deviation from a constant scale is no chance.
+_BEND_CHANCE = 1e-3
 _Fitted = TypeVar("_Fitted")
 
 
@@ -79,7 +81,7 @@ def judge_gantry(
     pairs: tuple[PairRecord, ...] = ()
     covariance: tuple[tuple[float, ...], ...] = ()
     if errors is not None:
-        records, pairs = _with_errors(records, errors)
+        records, pairs = _with_errors(records, errors, remarks)
         covariance = tuple(tuple(float(value) for value in row) for row in errors.covariance)
         if judge.board_sigma is None:
             remarks.append(
@@ -223,12 +225,22 @@ def _errors(readings: Sequence[Reading], axes: Sequence[Axis], linear: list[int]
     )
 
 
-def _with_errors(records: list[AxisRecord], errors: AxisErrors) -> tuple[list[AxisRecord], tuple[PairRecord, ...]]:
+def _with_errors(
+    records: list[AxisRecord], errors: AxisErrors, remarks: list[str]
+) -> tuple[list[AxisRecord], tuple[PairRecord, ...]]:
     L = len(records)
     scaled = [
         replace(record, scale_ppm=_PPM * float(scale), scale_sigma_ppm=_PPM * float(sigma))
         for record, scale, sigma in zip(records, errors.scale, errors.sigmas[:L], strict=True)
     ]
+    for i, (bend_m, chance) in enumerate(zip(errors.bend_m, errors.bend_chance, strict=True)):
+        if chance < _BEND_CHANCE:
+            bend_mm = mm_from_m(float(bend_m))
+            scaled[i] = replace(scaled[i], bend_mm=bend_mm)
+            remarks.append(
+                f"axis {records[i].name} has no constant scale: it deviates by up to {bend_mm:.3f} mm, more than chance "
+                "explains; nothing corrects that, so position_sigma_mm of the bench file must hold it"
+            )
     pairs = tuple(
         PairRecord((records[i].name, records[j].name), mrad_from_rad(float(angle)), mrad_from_rad(float(sigma)))
         for (i, j), angle, sigma in zip(axis_pairs(L), errors.shear_rad, errors.sigmas[L:], strict=True)

@@ -46,6 +46,7 @@ class AxisRecord:
         homing_mm: Scatter of a place after homing anew, standard deviation, mm.
         homing_low_mm: Lower end of its 95 % interval, mm.
         homing_high_mm: Upper end, mm.
+        bend_mm: Largest deviation from a constant scale, mm; only where it is more than chance. Nothing corrects it.
         instrument_mm: Scatter of the instrument with the carriage at rest, mm, 1 s; it is in all of these.
     """
 
@@ -68,6 +69,7 @@ class AxisRecord:
     homing_mm: float | None = None
     homing_low_mm: float | None = None
     homing_high_mm: float | None = None
+    bend_mm: float | None = None
     instrument_mm: float | None = None
 
 

@@ -22,6 +22,7 @@ _PLAIN = (
     ("Systematic deviation E (ISO 230-2)", "systematic_mm"),
     ("Accuracy A (ISO 230-2)", "accuracy_mm"),
     ("Pose repeatability, after ISO 9283", "pose_repeatability_mm"),
+    ("Largest deviation from a constant scale, not corrected", "bend_mm"),
     ("Scatter of the instrument at rest, 1σ", "instrument_mm"),
 )
 _BOUNDED = (
