@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 # How long a piece is that the controller is told, s: short enough for a cut corner, long enough for the line.
 _PIECE_S = 0.025
 _LOOK_S = 0.02
-# A carriage that is late goes faster by at most this share; one that is later than this is waited for.
+# A late carriage goes faster and an early one slower by at most this share; one that is later than this is waited for.
 _CATCH_UP, _CATCH_UP_S, _WAIT_FOR_S = 0.1, 0.5, 0.15
+# Pieces told later than this have let the carriage come to rest.
+_DRY_S = 0.1
 _SLOW = 1e-3
 # Slower than this by two reports, m/s or rad/s, a carriage that is told to wait stands.
 _STANDS = 1e-4
@@ -108,7 +110,7 @@ def drive_motion(plan: Plan, rig: Rig, writer: RunWriter, sink: EventSink) -> li
     sink(
         StageFinished(
             "motion",
-            f"{len(record.samples)} captures; late by {ms_from_s(record.largest_lag_s):.0f} ms at most; "
+            f"{len(record.samples)} captures; late or early by {ms_from_s(record.largest_lag_s):.0f} ms at most; "
             f"its reports are sure to {ms_from_s(s_from_ns(record.doubt_ns)):.1f} ms",
         )
     )
@@ -173,19 +175,20 @@ def _drive(
     count = int(np.ceil(path.duration_s / _PIECE_S))
     with rig.gantry.streaming() as stream:
         begun_ns = next_ns = rig.clock.now_ns()
-        told = 0
+        told, is_resting = 0, True
         lag_s = _look(stream.observe()[0], path, begun_ns, record)
         while True:
             check_interruption()
             now_s = s_from_ns(rig.clock.now_ns() - begun_ns)
             behind_s = max(now_s - told * _PIECE_S if told < count else 0.0, lag_s - _WAIT_FOR_S)
-            if behind_s > _PIECE_S:
+            if behind_s > _DRY_S:
                 begun_ns += ns_from_s(behind_s)
                 now_s -= behind_s
                 record.halts += 1
-            while told < count and told * _PIECE_S <= now_s + LOOK_AHEAD_S:
+            # A carriage at rest starts as soon as it is told: the first piece after a wait is told when it is due.
+            while told < count and told * _PIECE_S <= now_s + (0.0 if is_resting else LOOK_AHEAD_S):
                 told += 1
-                _tell(stream, path, told, lag_s, motion)
+                is_resting = not _tell(stream, path, told, lag_s, motion)
             if rig.clock.now_ns() >= next_ns:
                 shot = _shoot(rig, motion, path, first_place, begun_ns, writer.keep != "none")
                 next_ns = max(next_ns + period_ns, rig.clock.now_ns() - period_ns)
@@ -204,16 +207,21 @@ def _drive(
     record.reports.append(_Report(at_rest.t_ns, 0, at_rest.position, path.last))
 
 
-def _tell(stream: MotionStream, path: Trajectory, number: int, lag_s: float, motion: Motion) -> None:
-    """Tell the piece that ends at an instant of the path, a little faster while the carriage is late."""
+def _tell(stream: MotionStream, path: Trajectory, number: int, lag_s: float, motion: Motion) -> bool:
+    """Tell the piece that ends at an instant of the path, faster while the carriage is late and slower while early.
+
+    Returns:
+        Whether it moves anything.
+    """
     target = path.state_at(number * _PIECE_S).position
     step = target - stream.end
     linear = float(np.linalg.norm(step[~motion.limits.is_rotary]))
     length = linear if linear > 1e-9 else float(np.linalg.norm(step))
     if length <= 1e-9:
-        return
-    haste = 1.0 + min(max(lag_s / _CATCH_UP_S, 0.0), _CATCH_UP)
+        return False
+    haste = 1.0 + min(max(lag_s / _CATCH_UP_S, -_CATCH_UP), _CATCH_UP)
     stream.order(target, haste * length / _PIECE_S)
+    return True
 
 
 def _look(stamp: StampedPosition, path: Trajectory, begun_ns: int, record: _Record) -> float:
