@@ -238,8 +238,8 @@ def _with_errors(
             bend_mm = mm_from_m(float(bend_m))
             scaled[i] = replace(scaled[i], bend_mm=bend_mm)
             remarks.append(
-                f"axis {records[i].name} has no constant scale: it deviates by up to {bend_mm:.3f} mm, more than chance "
-                "explains; nothing corrects that, so position_sigma_mm of the bench file must hold it"
+                f"axis {records[i].name} has no constant scale: it deviates by up to {bend_mm:.3f} mm, more than "
+                "chance explains; nothing corrects that, so position_sigma_mm of the bench file must hold it"
             )
     pairs = tuple(
         PairRecord((records[i].name, records[j].name), mrad_from_rad(float(angle)), mrad_from_rad(float(sigma)))

@@ -90,6 +90,7 @@ def test_fluidnc_keeps_its_settings_to_itself_and_homes_with_messages(monkeypatc
     port = TablePort(fluidnc, greeting=b"\r\nGrbl 3.9 [FluidNC v3.9.9 (wifi) '$' for help]\r\n")
     gantry, _ = open_table(monkeypatch, port)
     assert (gantry.info.firmware, gantry.info.version) == ("FluidNC", "3.9 FluidNC v3.9.9")
+    assert any("does not tell its speeds" in text for text in gantry.info.warnings)
     assert gantry.home().is_trusted
     port.pending += b"[MSG:INFO: ALARM: Hard Limit]\r\nALARM:14\r\n"
     with pytest.raises(GantryAlarm, match="homing is required"):
@@ -99,11 +100,11 @@ def test_fluidnc_keeps_its_settings_to_itself_and_homes_with_messages(monkeypatc
 def test_what_is_unwise_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     mock = MockGantry(monkeypatch)
     assert mock.gantry.info.warnings == ()
-    settings = mock.gantry.info.settings | {"20": "0", "1": "25", "32": "1", "131": "0.000"}
+    settings = mock.gantry.info.settings | {"20": "0", "1": "25", "32": "1", "131": "0.000", "112": "9000"}
     told = settings_warnings(settings, linear_axes())
     assert [text.split(":")[0].split(" (")[0] for text in told] == [
         "soft limits are off", "motors are released 25 ms after a move", "laser mode is on",
-        "axis Y has no travel",
+        "axis Y has no travel", "axis Z can go at $112=9000, the bench file allows 3000",
     ]  # fmt: skip
     mock.gantry.close()
 

@@ -296,6 +296,7 @@ class GrblGantry:
         start = self._state_at_rest()
         if not start.is_trusted:
             raise GantryError(f"a motion starts homed and at rest; the state is {start.activity}", self.port)
+        self._check_limits()
         door = StreamDoor(
             self._settings, self._envelope, self._link, self._clock, self._order, self._ask_state, self._brake
         )

@@ -16,6 +16,7 @@ _REPLY_S = 5.0
 _READINGS = 5
 # The last touch of a probe is no setting.
 _PASSING = ("PRB", "TLO")
+_UNTOLD = "the controller does not tell its speeds, accelerations and travel: nobody checks them against the bench file but you"
 _HEARTBEAT = "202"
 _NO_HEARTBEAT = (
     "no heartbeat ($202=0): when this computer dies, a move under way runs to its end; `uvgs gantry settings 202=2000` "
@@ -42,6 +43,8 @@ def identify(link: GrblLink, axes: Sequence[Axis]) -> tuple[ControllerInfo, Cont
     dialect = link.dialect = find_dialect(identity)
     checked = read_settings(settings, axes, link.port, dialect)
     warnings = settings_warnings(settings, axes)
+    if not dialect.lists_settings:
+        warnings = (*warnings, _UNTOLD)
     if dialect.has_checksums:
         settings |= _heard_twice(link, lambda: _own_settings(link))
         link.steps = checked.steps
