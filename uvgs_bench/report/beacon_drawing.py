@@ -10,7 +10,7 @@ from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.cells import Cell, Number
 from uvgs_bench.report.document import Column, Figure, Table
-from uvgs_bench.report.figures import canvas, label_of, series, style, svg_of
+from uvgs_bench.report.figures import label_of, plain_axes, series, style, svg_of
 from uvgs_bench.report.palette import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE
 from uvgs_bench.units import deg_from_rad, mm_from_m
 
@@ -81,8 +81,8 @@ def beacon_figures(beacon: Beacon, nominal_m: FloatArray | None = None) -> tuple
             "deep along z; the axes of its frame are drawn at its origin."
         )
         with style(name):
-            figure = canvas(height_in=3.6)
-            draw_view(figure.add_subplot(), beacon, pair, nominal_m)
+            figure, axes = plain_axes(3.6)
+            draw_view(axes, beacon, pair, nominal_m)
             svg = svg_of(figure, name, alt)
         crosses = "" if nominal_m is None else " Crosses: nominal, laid onto the measured LEDs."
         caption = f"The beacon {words}, in its own frame.{crosses}"

@@ -15,6 +15,7 @@ import numpy as np
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.document import Series
 from uvgs_bench.report.palette import FAINT, INK, RULE
+from uvgs_bench.report.scales import draw_scales, widest_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,17 +90,19 @@ def canvas(height_in: float = 3.3, *, arranges_itself: bool = True) -> Canvas:
     return figure
 
 
-def plain_axes(height_in: float = 3.3) -> tuple[Canvas, Axes]:
+def plain_axes(height_in: float = 3.3, names: Sequence[str] = ()) -> tuple[Canvas, Axes]:
     """A figure with one pair of axes in margins fit for usual numbers: the same in every drawing, and quick to draw.
 
     Args:
         height_in: Height, inches.
+        names: Words at the ticks of the upright axis, which then has no name of its own.
 
     Returns:
-        Figure and axes; long names along an axis need ``canvas`` instead.
+        Figure and axes.
     """
     figure = canvas(height_in, arranges_itself=False)
-    left, right, bottom, top = 0.74, 0.1, 0.5, 0.3
+    right, bottom, top = 0.1, 0.5, 0.3
+    left = 0.2 + widest_in(names) if names else 0.74
     sides = (left / WIDTH_IN, bottom / height_in, 1.0 - (left + right) / WIDTH_IN, 1.0 - (bottom + top) / height_in)
     return figure, figure.add_axes(sides)
 
@@ -117,6 +120,10 @@ def svg_of(figure: Canvas, key: str, alt: str) -> str:
     """
     from html import escape
 
+    if figure.get_layout_engine() is None:
+        for axes in figure.axes:
+            if axes.axison:
+                draw_scales(axes)
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()

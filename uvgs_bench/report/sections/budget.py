@@ -8,7 +8,7 @@ from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.uncertainty import Budget, BudgetLine
 from uvgs_bench.report.cells import Cell, Interval, Number, decimals_for
 from uvgs_bench.report.document import Alert, Alerts, Block, Column, Figure, Level, Paragraph, Section, Table
-from uvgs_bench.report.figures import canvas, series, style, svg_of
+from uvgs_bench.report.figures import plain_axes, series, style, svg_of
 from uvgs_bench.report.palette import FAINT, ORANGE, SERIES
 from uvgs_bench.report.quantities import SCALES
 from uvgs_bench.store.run import Run
@@ -138,15 +138,15 @@ def _bars(budget: Budget) -> Figure:
         + f". Together {combined_mm:.3g} mm; observed {observed_mm:.3g} mm RMS."
     )
     with style(key):
-        figure = canvas(height_in=1.0 + 0.28 * (len(known) + 1))
-        axes = figure.add_subplot()
+        names = [*(line.name for line in known), "combined"]
+        figure, axes = plain_axes(1.0 + 0.28 * len(names), names)
         rows = np.arange(len(known) + 1)
         colours = [SERIES[0] if line.part == "sensor" else ORANGE for line in known]
         axes.barh(rows, [*size_mm, combined_mm], color=[*colours, FAINT], height=0.66)
         if np.isfinite(observed_mm):
             axes.axvline(observed_mm, color=FAINT, lw=1.2, ls="--")
             axes.annotate("observed", (observed_mm, -0.62), (3, 0), textcoords="offset points", fontsize=8, va="center")
-        axes.set_yticks(rows, [*(line.name for line in known), "combined"])
+        axes.set_yticks(rows, names)
         axes.set_ylim(len(known) + 0.5, -0.95)
         axes.set_xlabel("standard uncertainty of one position error (mm)")
         axes.grid(False, axis="y")

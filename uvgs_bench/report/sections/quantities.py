@@ -10,7 +10,7 @@ from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.quantity_catalogue import Quantity
 from uvgs_bench.report.cells import Cell, Number, decimals_for
 from uvgs_bench.report.document import Block, Column, Definitions, Figure, Paragraph, Section, Table
-from uvgs_bench.report.figures import canvas, series, style, svg_of
+from uvgs_bench.report.figures import plain_axes, series, style, svg_of
 from uvgs_bench.report.palette import FAINT, SERIES
 from uvgs_bench.report.quantities import LARGEST_WORDS, SCALES, Scale, decimals_of, measured
 from uvgs_bench.store.run import Run
@@ -144,14 +144,14 @@ def _whiskers(drawn: Sequence[Quantity]) -> Figure:
         f"{drawn[worst].group_value}; {int(is_open.sum())} intervals are open."
     )
     with style(key):
-        figure = canvas(height_in=0.9 + 0.24 * len(drawn))
-        axes = figure.add_subplot()
+        names = [f"{q.group.replace('_', ' ')}: {q.group_value}" for q in drawn]
+        figure, axes = plain_axes(0.9 + 0.24 * len(drawn), names)
         rows = np.arange(len(drawn))
         ends = np.stack([np.maximum(low, 0.0), np.where(is_open, reach, high)], axis=1)
         for row, (left, right) in zip(rows, ends, strict=True):
             axes.plot([left, right], [row, row], "--" if is_open[row] else "-", color=FAINT, lw=1.4)
         axes.plot(value, rows, "o", color=SERIES[0], ms=4.5)
-        axes.set_yticks(rows, [f"{q.group.replace('_', ' ')}: {q.group_value}" for q in drawn])
+        axes.set_yticks(rows, names)
         axes.set_ylim(len(drawn) - 0.4, -0.6)
         axes.set_xlim(0.0, reach if reach > 0.0 else 1.0)
         axes.set_xlabel(f"position error, RMS ({scale.unit})")
