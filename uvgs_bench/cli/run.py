@@ -10,22 +10,23 @@ from typing import Annotated, Literal
 import typer
 
 from uvgs_bench.cli.options import Force, Json, Quiet, given_options
-from uvgs_bench.errors import ExitCode
+from uvgs_bench.errors import ConfigError, ExitCode
 
 _BEACONS = "Several beacons"
 _LIGHT = "Light"
 _OUTPUT = "Output"
+_MANY = "Many sources"
 
 
 def run(
     context: typer.Context,
     source: Annotated[
-        str,
+        str | None,
         typer.Argument(
             help="images:DIR, video:FILE, bag:FILE, uvc:0, rtsp://..., sim:BENCH.toml?count=N, a run folder, or a file "
             "of --record."
         ),
-    ],
+    ] = None,
     out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -157,6 +158,28 @@ def run(
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
+    batch: Annotated[
+        Path | None,
+        typer.Option(
+            "--batch",
+            metavar="LIST",
+            help="Solve every source of a text file, one a line, * allowed; --out names a folder, or a path with {} "
+            "for the source's name. What is done is not done again.",
+            rich_help_panel=_MANY,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers", min=1, help="Processes of --batch; one per processor when left out.", rich_help_panel=_MANY
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler", help="Dask scheduler in place of processes, like tcp://host:8786.", rich_help_panel=_MANY
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -178,6 +201,15 @@ def run(
     from uvgs_bench.sessions.stream import StreamRules, solve_source
     from uvgs_bench.sessions.tally import Tally
 
+    if batch is not None:
+        from uvgs_bench.cli.batch import run_list
+
+        run_list(context, batch, workers=workers, scheduler=scheduler, force=force, as_json=as_json, quiet=quiet)
+    for option, value in (("--workers", workers), ("--scheduler", scheduler)):
+        if value is not None:
+            raise ConfigError("is for --batch", option)
+    if source is None:
+        raise ConfigError("is needed, or a list of them with --batch", "SOURCE")
     options = OutletOptions(tuple(out or ()), compression, annotated, astrobee, udp, rate_hz, debug_images, force)
     options.check(record)
     is_interrupted = False

@@ -31,7 +31,7 @@ SCHEMA = 1
 _WAITING = 3
 _ANSWER_S = 10
 # One thread a worker: more would fight for the same cores, and a sum would depend on how it was shared out.
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Row = dict[str, Any]
 """What one bench says: plain values that JSON can hold."""
@@ -219,11 +219,11 @@ def _opened(results: Path, work: Work, resume: bool) -> Iterator[TextIO]:
 @contextmanager
 def _workers(workers: int, scheduler: str | None) -> Iterator[tuple[Executor, int]]:
     if scheduler is not None:
-        with _cluster(scheduler) as found:
+        with open_cluster(scheduler) as found:
             yield found
         return
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     # A pool of one too: the same libraries in the same state, whatever the number of workers. Spawned, since a fork
     # would copy the locks of other threads.
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_deaf_to_interrupts)
@@ -244,7 +244,19 @@ def _deaf_to_interrupts() -> None:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
+def open_cluster(address: str) -> Iterator[tuple[Executor, int]]:
+    """The workers of a Dask scheduler.
+
+    Args:
+        address: Like ``tcp://host:8786``.
+
+    Yields:
+        An executor, and how many tasks run at a time.
+
+    Raises:
+        ConfigError: The extra is not installed, or it is no address.
+        UvgsError: Nothing answers, or a worker has other versions than this machine.
+    """
     try:
         from distributed import Client
     except ImportError:
