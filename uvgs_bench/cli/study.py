@@ -35,8 +35,9 @@ def study(
 ) -> None:
     """Monte-Carlo over simulated benches: coverage of intervals, power of the diagnosis, how many stations it takes.
 
-    The same seed gives the same table on any number of workers. Ctrl-C keeps what is done; --resume goes on, also with
-    more benches. Ends with 1 when a target is missed, 3 when the benches are too few to tell.
+    The same seed gives the same table on any number of workers.
+    Ctrl-C keeps what is done; --resume goes on, also with more benches.
+    Ends with 1 when a target is missed, 3 when the benches are too few to tell.
     """
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.errors import ConfigError

@@ -29,6 +29,7 @@ from uvgs_bench.report.quantities import COMPONENT_WORDS, SCALES, decimals_of, m
 from uvgs_bench.store.comparing import ComparedRun, Comparison
 from uvgs_bench.units import percent_from_fraction
 
+_LEAST_SHOWN = 1e-4
 _STATES: dict[str, State] = {
     "worse": "fail", "better": "pass", "no difference shown": "none", "inconclusive": "inconclusive",
 }  # fmt: skip
@@ -160,9 +161,9 @@ def _changes(comparison: Comparison) -> Section:
         how = "each place with itself" if compared.is_paired else "as independent runs: their places differ"
         caption = f"Run {i + 1} against run {compared.against + 1}, {compared.changes[0].places} places, {how}."
         columns = (
-            Column("Figure"), Column(f"Run {compared.against + 1}", is_numeric=True),
+            Column("Figure"), Column("Verdict"), Column(f"Run {compared.against + 1}", is_numeric=True),
             Column(f"Run {i + 1}", is_numeric=True), Column("Change, 95 %", is_numeric=True),
-            Column("Would have been seen", is_numeric=True), Column("p, adjusted", is_numeric=True), Column("Verdict"),
+            Column("Would have been seen", is_numeric=True), Column("p, adjusted", is_numeric=True),
         )  # fmt: skip
         blocks.append(Table(caption, columns, tuple(rows)))
     if comparison.allowed > 0.0:
@@ -173,8 +174,8 @@ def _changes(comparison: Comparison) -> Section:
 
 def _row(change: Change) -> tuple[Cell, ...]:
     verdict = Mark(_STATES[change.word], change.word)
-    p = Number(change.adjusted_p, 4)
-    return change_words(change), *_values(change), _effect(change), _seen(change), p, verdict
+    p: Cell = f"< {_LEAST_SHOWN:g}" if change.adjusted_p < _LEAST_SHOWN else Number(change.adjusted_p, 4)
+    return change_words(change), verdict, *_values(change), _effect(change), _seen(change), p
 
 
 def _values(change: Change) -> tuple[Number, Number]:
@@ -224,7 +225,8 @@ def _figures(comparison: Comparison) -> Section:
         is_shown = trend.low > 0.0 or trend.high < 0.0
         said = "a trend is shown" if is_shown else "no trend is shown"
         component = trend.key.rsplit("_", 1)[0]
-        text = f"Over time {component} RMS changes by {mid:.2g} % per day (95 %: {low:.2g} to {high:.2g}): {said}."
+        digits = decimals_for([0.5 * (high - low)], default=1)
+        text = f"Over time {component} RMS changes by {mid:.{digits}f} % per day (95 %: {low:.{digits}f} to {high:.{digits}f}): {said}."
         blocks.append(Paragraph(text))
     return Section("figures", "The runs side by side", tuple(blocks))
 
