@@ -72,6 +72,7 @@ class BudgetInputs:
         axis_covariance: Covariance of the axes' scales and shears as characterised, shape (6, 6).
         time_sigma_s: Doubt of the captures' instants against the gantry's, standard deviation, s.
         temperature_half_span_k: Half of the span of temperature since gantry and beacon were measured, K.
+        is_independent: Whether the registration owes nothing to the sensor's poses, and so follows none of its errors.
     """
 
     lens: Lens | None = None
@@ -81,6 +82,7 @@ class BudgetInputs:
     axis_covariance: FloatArray | None = None
     time_sigma_s: float | None = None
     temperature_half_span_k: float | None = None
+    is_independent: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +120,12 @@ class Comparison:
         """What a common error leaves once the registration has followed it, shape (N, 6, K)."""
         left = left_over(self.judged, self.support, self.registration, on_judged, on_support)
         return as_errors(left, self.table.predicted_t_m)
+
+    def of_sensor(self, on_judged: FloatArray, on_support: FloatArray) -> FloatArray:
+        """The same of an error of the sensor, which a registration by a board does not follow."""
+        if self.inputs.is_independent:
+            return as_errors(on_judged, self.table.predicted_t_m)
+        return self.common(on_judged, on_support)
 
 
 def noise_share(everything: ErrorTable, obs: Observations, chosen: Comparison) -> Share:
@@ -159,15 +167,17 @@ def sensor_shares(c: Comparison) -> list[Share]:
         here = sensor_sensitivities(inputs.lens, inputs.leds_m, c.judged.R_cb, c.judged.t_cb_m)
         there = sensor_sensitivities(inputs.lens, inputs.leds_m, c.support.R_cb, c.support.t_cb_m)
         if inputs.lens_covariance is not None:
-            by_lens = c.common(here[0], there[0]) @ _root(inputs.lens_covariance)
+            by_lens = c.of_sensor(here[0], there[0]) @ _root(inputs.lens_covariance)
         if inputs.led_covariance_m2 is not None:
-            by_led = c.common(here[1], there[1]) @ _root(inputs.led_covariance_m2)
+            by_led = c.of_sensor(here[1], there[1]) @ _root(inputs.led_covariance_m2)
     shares = []
     for name, effect, stated, improve in (
         ("camera calibration", by_lens, c.judged.calibration_covariance, "calibrate with more and steeper views"),
         ("LED positions", by_led, c.judged.beacon_covariance, "measure the beacon: uvgs beacon measure"),
     ):
         source = "stated covariance, less what the registration takes up"
+        if inputs.is_independent:
+            source = "stated covariance; what a lens does to board and beacon alike makes it an upper bound"
         if effect is None and np.isfinite(stated).all():
             effect = as_errors(np.array([_root(each) for each in stated]), c.table.predicted_t_m)
             source = "stated covariance before the registration takes up its part: an upper bound"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES
 from uvgs_bench.accuracy.diagnosis import examine
+from uvgs_bench.accuracy.independent import Independent, Link, links_of
 from uvgs_bench.accuracy.limits import QUANTITIES, Limit, LimitVerdict, Verdict, limit_verdict
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable, concatenated, error_table
@@ -59,6 +60,8 @@ class Judgement:
         quantities: Named figures of the captures that judge, with their definitions; of groups of them too.
         diagnosis: Causes the residuals of all captures point to, the likeliest first; empty when nothing stands out.
         sight_limits: How large causes would have to be to be named in a run like this; empty when none were sought.
+        links: The chain from the camera to the beacon with the doubt of each link; empty without a registration.
+        is_independent: Whether the registration owes nothing to the sensor, so that constant errors of it show.
     """
 
     registration: Registration | None
@@ -75,6 +78,8 @@ class Judgement:
     quantities: tuple[Quantity, ...] = ()
     diagnosis: tuple[Suspect, ...] = ()
     sight_limits: tuple[SightLimit, ...] = ()
+    links: tuple[Link, ...] = ()
+    is_independent: bool = False
 
 
 _FOLDS = 5
@@ -94,10 +99,13 @@ def judge(
     lens: Lens | None = None,
     beacon: Beacon | None = None,
     known: BudgetInputs | None = None,
+    terms: tuple[str, ...] = (),
+    independent: Independent | None = None,
 ) -> Judgement:
     """Register on the stations meant for it, judge on the others, and hold the figures against limits.
 
-    Without stations of both roles every fifth of the places is judged by a registration fitted on the rest.
+    Without stations of both roles every fifth of the places is judged by a registration fitted on the rest. With an
+    independent registration all stations judge.
 
     Args:
         obs: All captures of a run, misses included.
@@ -109,6 +117,8 @@ def judge(
         lens: The lens the sensor was told; without it or the beacon nothing is diagnosed.
         beacon: The beacon it was told.
         known: What is known beside the captures, for the uncertainty budget.
+        terms: Names of ``TERM_GROUPS`` that may be fitted beside the poses, each only when the data ask for it.
+        independent: A registration by a board in place of one by the sensor's own poses.
 
     Returns:
         The judgement. Too little data gives ``inconclusive`` with the reason, never an exception.
@@ -118,7 +128,12 @@ def judge(
     if not run_completed:
         alerts.append(Alert("warning", "the run did not reach its end: the figures cover only what was taken"))
     try:
-        registration, fitted_on, judged, table, split = _register_and_judge(obs, gantry_sigma_m, nominal)
+        if independent is None:
+            fit = _Fit(gantry_sigma_m, nominal, terms)
+            registration, fitted_on, judged, table, split = _register_and_judge(obs, fit)
+        else:
+            registration, fitted_on, judged = independent.registration(), obs.select(obs.is_solved), obs
+            table, split = error_table(obs, registration), _independent_split(obs, registration)
     except RegistrationError as error:
         alerts.append(Alert("error", f"no registration, hence no accuracy: {error}"))
         verdicts = tuple(limit_verdict(limit, None, found, ()) for limit in limits)
@@ -135,13 +150,13 @@ def judge(
             "nothing to judge",
             diagnosis=_diagnosis(obs, None, lens, beacon).suspects,
         )
-    in_sample = error_table(fitted_on, registration)
+    in_sample = None if independent is not None else error_table(fitted_on, registration)
     summary = summarise(table, rng)
     named = quantities(judged, table, registration, rng)
     verdicts = tuple(limit_verdict(limit, summary, found, named) for limit in limits)
-    alerts += _registration_alerts(registration) + _summary_alerts(summary)
+    alerts += _registration_alerts(registration, is_independent=independent is not None) + _summary_alerts(summary)
     shared = _places_of_both_roles(obs)
-    if shared:
+    if shared and independent is None:
         alerts.append(
             Alert("warning", f"{shared} places both register and judge: their errors are flattered by the registration")
         )
@@ -152,17 +167,26 @@ def judge(
         registration=registration,
         in_sample_table=in_sample,
         table=table,
-        in_sample_summary=summarise(in_sample, rng),
+        in_sample_summary=None if in_sample is None else summarise(in_sample, rng),
         summary=summary,
         availability=found,
         verdicts=verdicts,
         verdict=_overall(verdicts),
         alerts=_sorted(alerts),
         split=split,
-        budget=uncertainty_budget(judged, table, registration, fitted_on, known or BudgetInputs(), rng),
+        budget=uncertainty_budget(
+            judged,
+            table,
+            registration,
+            fitted_on,
+            replace(known or BudgetInputs(), is_independent=independent is not None),
+            rng,
+        ),
         quantities=named,
         diagnosis=examined.suspects,
         sight_limits=examined.limits,
+        links=links_of(registration, judged) if independent is None else independent.links(judged),
+        is_independent=independent is not None,
     )
 
 
@@ -174,22 +198,41 @@ def _diagnosis(
     return examine(obs, registration, lens, beacon.positions_m, beacon.led_names)
 
 
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """How registrations are fitted."""
+
+    gantry_sigma_m: float
+    nominal: Pose | None
+    terms: tuple[str, ...]
+
+    def of(self, obs: Observations) -> Registration:
+        return fit_registration(obs, gantry_sigma_m=self.gantry_sigma_m, nominal=self.nominal, terms=self.terms)
+
+
+def _independent_split(obs: Observations, registration: Registration) -> str:
+    return (
+        f"registered by a board on {registration.station_count} places, "
+        f"judged on all {len(np.unique(obs.station))} stations"
+    )
+
+
 def _register_and_judge(
-    obs: Observations, gantry_sigma_m: float, nominal: Pose | None
+    obs: Observations, fit: _Fit
 ) -> tuple[Registration, Observations, Observations, ErrorTable, str]:
     """Registration, the captures it was fitted on, those that judge with their errors, and how they were parted."""
     registers = obs.has_role("register")
     judges = ~registers
     if registers.any() and judges.any():
         fitted_on = obs.select(registers)
-        registration = fit_registration(fitted_on, gantry_sigma_m=gantry_sigma_m, nominal=nominal)
+        registration = fit.of(fitted_on)
         split = (
             f"registered on {len(np.unique(obs.station[registers]))} stations, "
             f"judged on {len(np.unique(obs.station[judges]))} others"
         )
         judged = obs.select(judges)
         return registration, fitted_on, judged, error_table(judged, registration), split
-    registration = fit_registration(obs, gantry_sigma_m=gantry_sigma_m, nominal=nominal)
+    registration = fit.of(obs)
     places = np.unique(obs.place[obs.is_solved])
     if len(places) < 2 * LEAST_STATIONS:
         raise RegistrationError(
@@ -203,7 +246,7 @@ def _register_and_judge(
     for k in range(_FOLDS):
         if (fold == k).any():
             held_out = obs.select(fold == k)
-            others = fit_registration(obs.select(fold != k), gantry_sigma_m=gantry_sigma_m, nominal=nominal)
+            others = fit.of(obs.select(fold != k))
             parts.append(error_table(held_out, others))
             rows.append(np.flatnonzero(fold == k))
     split = (
@@ -224,17 +267,22 @@ def _overall(verdicts: Sequence[LimitVerdict]) -> Verdict:
     return "pass" if words == {"pass"} else "inconclusive"
 
 
-def _registration_alerts(registration: Registration) -> list[Alert]:
-    alerts = [
-        Alert("note", f"registration, rank {registration.rank} of 12: {text}") for text in registration.blind_spots
-    ]
-    alerts.append(
-        Alert(
-            "note",
-            "a constant error of the sensor looks like another place of camera or beacon: the registration absorbs it, "
-            "so these figures show everything but that; absolute trueness needs an independently measured link",
+def _registration_alerts(registration: Registration, *, is_independent: bool) -> list[Alert]:
+    if is_independent:
+        text = (
+            "registered by a board: constant errors of the sensor show in these figures, as far as the chain from the "
+            "board to the beacon is known; what an error of the lens does to board and beacon alike does not show"
         )
-    )
+        alerts = [Alert("note", text)]
+    else:
+        alerts = [
+            Alert("note", f"registration, rank {registration.rank} of 12: {text}") for text in registration.blind_spots
+        ]
+        text = (
+            "a constant error of the sensor looks like another place of camera or beacon: the registration absorbs it, "
+            "so these figures show everything but that; absolute trueness needs an independently measured link"
+        )
+        alerts.append(Alert("note", text))
     if registration.outlier_count:
         alerts.append(
             Alert(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,6 +187,17 @@ def concatenated(parts: Sequence[ErrorTable], rows: Sequence[NDArray[np.intp]]) 
         One table.
     """
     order = np.argsort(np.concatenate(rows))
+    # A fold may have taken up terms that another left.
+    columns = max(part.registration_factor.shape[2] for part in parts)
+    parts = [
+        replace(
+            part,
+            registration_factor=np.pad(
+                part.registration_factor, ((0, 0), (0, 0), (0, columns - part.registration_factor.shape[2]))
+            ),
+        )
+        for part in parts
+    ]
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ErrorTable.__dataclass_fields__
