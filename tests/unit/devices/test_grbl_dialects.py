@@ -90,7 +90,7 @@ def test_fluidnc_keeps_its_settings_to_itself_and_homes_with_messages(monkeypatc
     port = TablePort(fluidnc, greeting=b"\r\nGrbl 3.9 [FluidNC v3.9.9 (wifi) '$' for help]\r\n")
     gantry, _ = open_table(monkeypatch, port)
     assert (gantry.info.firmware, gantry.info.version) == ("FluidNC", "3.9 FluidNC v3.9.9")
-    assert any("does not tell its speeds" in text for text in gantry.info.warnings)
+    assert any("tells neither speeds" in text for text in gantry.info.warnings)
     assert gantry.home().is_trusted
     port.pending += b"[MSG:INFO: ALARM: Hard Limit]\r\nALARM:14\r\n"
     with pytest.raises(GantryAlarm, match="homing is required"):

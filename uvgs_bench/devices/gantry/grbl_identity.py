@@ -16,7 +16,7 @@ _REPLY_S = 5.0
 _READINGS = 5
 # The last touch of a probe is no setting.
 _PASSING = ("PRB", "TLO")
-_UNTOLD = "the controller does not tell its speeds, accelerations and travel: nobody checks them against the bench file but you"
+_UNTOLD = "the controller tells neither speeds nor accelerations nor travel: check them against the bench file yourself"
 _HEARTBEAT = "202"
 _NO_HEARTBEAT = (
     "no heartbeat ($202=0): when this computer dies, a move under way runs to its end; `uvgs gantry settings 202=2000` "

@@ -102,8 +102,8 @@ def settings_warnings(settings: Mapping[str, str], axes: Sequence[Axis]) -> tupl
         feed = (mm_from_m if axis.kind == "linear" else deg_from_rad)(axis.max_speed) * S_PER_MIN
         if values.get(110 + i, 0.0) > feed * _ROUNDED:
             warnings.append(
-                f"axis {axis.name} can go at ${110 + i}={values[110 + i]:g}, the bench file allows {feed:g}: a feed damaged on "
-                "the line would not be held back"
+                f"axis {axis.name} can go at ${110 + i}={values[110 + i]:g}, the bench file allows {feed:g}: a feed "
+                "damaged on the line would not be held back"
             )
         if values.get(130 + i) == 0.0 and axis.kind == "linear":
             warnings.append(f"axis {axis.name} has no travel (${130 + i}=0), so no soft limit")
