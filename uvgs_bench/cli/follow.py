@@ -19,7 +19,7 @@ def follow(
         str,
         typer.Argument(
             metavar="[SCENARIO]",
-            help="square, granite_square, line, hold, multi_target, or a scenario or procedure file.",
+            help="square, slow_square, granite_square, line, hold, multi, or a scenario or procedure file.",
         ),
     ] = "square",
     plant: Annotated[str, typer.Option("--plant", help="What follows: flyer, gantry, or udp:HOST:PORT.")] = "flyer",
@@ -43,11 +43,12 @@ def follow(
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.errors import ConfigError
     from uvgs_bench.sessions.follow import follow as lead
-    from uvgs_bench.sessions.follow_scenario import parse_faults, read_scenario
+    from uvgs_bench.sessions.follow_procedure import leader_of
+    from uvgs_bench.sessions.follow_scenario import parse_faults
     from uvgs_bench.sessions.follow_setup import read_follow_setup
 
     faults = parse_faults(inject)
-    set_up = read_follow_setup(read_scenario(scenario), bench, faults, seed)
+    set_up = read_follow_setup(leader_of(scenario, bench), bench, faults, seed)
     with progress_sink(quiet=quiet) as sink:
         if plant == "gantry":
             if realtime:

@@ -321,8 +321,13 @@ SCENARIOS: dict[str, FollowScenario] = {
         "the leader stands still",
         start_error_mm=(80.0, -60.0, -200.0),
     ),
-    "multi_target": FollowScenario(
-        "multi_target", LeaderPlan(_targets()), "four targets, the beacon in the hue of the one it reached last (4)"
+    "slow_square": FollowScenario(
+        "slow_square",
+        LeaderPlan(_square(200.0, (0, 1)), speed_mm_s=25.0),
+        "20 cm square in the vertical plane at 25 mm/s, for a gantry",
+    ),
+    "multi": FollowScenario(
+        "multi", LeaderPlan(_targets()), "four targets, the beacon in the hue of the one it reached last (4)"
     ),
 }
 """Scenarios by name."""

@@ -28,7 +28,7 @@ from uvgs_bench.store.beacons import read_beacon
 from uvgs_bench.store.bench import read_bench
 from uvgs_bench.store.calibrations import read_calibration
 from uvgs_bench.store.documents import read_document
-from uvgs_bench.units import ns_from_s, s_from_ms
+from uvgs_bench.units import s_from_ms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,9 +206,17 @@ def calm_s(leader: Trajectory, t_s: float) -> float:
     return t_s - float(past.max()) if past.size else t_s
 
 
-def setup_facts(set_up: FollowSetUp, plant: str, margins: Margins) -> dict[str, object]:
+def setup_facts(set_up: FollowSetUp, plant: str, margins: Margins | None) -> dict[str, object]:
     """What the figures of a session depend on, as plain values for its manifest."""
     scenario = asdict(set_up.scenario)
+    loop = (
+        {}
+        if margins is None
+        else {
+            "margins": _plain(asdict(margins)),
+            "period_s": set_up.period_s,
+        }
+    )
     return {
         "plant": plant,
         "scenario": _plain(scenario),
@@ -216,9 +224,7 @@ def setup_facts(set_up: FollowSetUp, plant: str, margins: Margins) -> dict[str, 
         "beacon": set_up.beacon.name,
         "camera": set_up.calibration.camera_name,
         "bench": set_up.bench.name,
-        "margins": _plain(asdict(margins)),
-        "period_s": set_up.period_s,
-        "latency_ns": ns_from_s(set_up.latency_s),
+        **loop,
     }
 
 

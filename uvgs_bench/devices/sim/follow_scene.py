@@ -50,7 +50,7 @@ class FollowScene:
     ) -> None:
         self.seed = truth.seed if seed is None else seed
         self.companions: tuple[tuple[Pose, Beacon], ...] = ()
-        self._truth = truth
+        self.truth = self._lit = truth
         self._lens = true_lens(truth)
         self._beacon = displaced_beacon(truth, beacon)
         self._leader = leader
@@ -64,11 +64,7 @@ class FollowScene:
     def look(self, t_ns: int) -> None:
         """Let it be this instant for hue and sight; where things are is asked for by instant."""
         self._now_ns = t_ns
-
-    @property
-    def truth(self) -> SimulatedTruth:
-        """What is true now; with every LED hidden while the beacon is out of sight."""
-        return self._dark if self.is_hidden(self._now_ns) else self._truth
+        self.truth = self._dark if self.is_hidden(t_ns) else self._lit
 
     @property
     def true_lens(self) -> Lens:
@@ -135,7 +131,7 @@ class LedBench(SimulatedBench):
     ) -> None:
         super().__init__(truth, beacon, axes, mount, seed=seed)
         if clock is not None:
-            self.clock = clock  # type: ignore[assignment]
+            self.clock = clock
         self._path: Trajectory | None = None
         self._begun_ns = 0
 
@@ -143,7 +139,8 @@ class LedBench(SimulatedBench):
         """Let the leader go.
 
         Args:
-            path: Its displacement from where it stands: x, y, z in gantry axes first, m; further coordinates are left.
+            path: Its path; x, y, z come first, m, in the axes of what is seen from the camera (x right, y down,
+                z forward); where it begins is where the leader stands now, and turns are left out.
             begun_ns: When it sets out, bench time, ns.
         """
         self._path, self._begun_ns = path, begun_ns
@@ -152,7 +149,9 @@ class LedBench(SimulatedBench):
         """How far the leader is from where it stood, gantry axes, shape (3,), m."""
         if self._path is None:
             return np.zeros(3)
-        return self._path.state_at(s_from_ns(t_ns - self._begun_ns)).position[:3]
+        moved = self._path.state_at(s_from_ns(t_ns - self._begun_ns)).position - self._path.state_at(-1.0).position
+        in_gantry: FloatArray = self._outer.R.T @ moved[:3]
+        return in_gantry
 
     def true_camera_from_beacon(self, t_ns: int) -> Pose:
         """Where the beacon truly is before the camera at an instant."""
