@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.navigation.imu import STANDARD_GRAVITY_MPS2, ImuNoise, ImuSamples
 from uvgs_bench.navigation.rigid import RigidState
@@ -27,6 +28,7 @@ class FusionInput:
         body_from_camera: How the camera sits on the body; the body's axes are those of the inertial unit.
         leds_m: LED positions in the beacon frame, shape (n, 3), m.
         focal_px: Focal length of the camera, px.
+        lens: The camera's lens, or None when only poses are known.
         noise: Noise of the unit as stated.
         gravity_mps2: Gravity in world axes, shape (3,), m/s^2.
         rest_s: How long the body stands still at first, s.
@@ -48,6 +50,7 @@ class FusionInput:
     body_from_camera: Pose
     leds_m: FloatArray
     focal_px: float
+    lens: Lens | None = None
     noise: ImuNoise = field(default_factory=ImuNoise)
     gravity_mps2: FloatArray = field(default_factory=lambda: read_only([0.0, 0.0, -STANDARD_GRAVITY_MPS2]))
     rest_s: float = 0.0
