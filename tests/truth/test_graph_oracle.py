@@ -10,7 +10,8 @@ import pytest
 from tests.helpers.fusion_flight import GRAVITY, begun, fly, run, state_at
 from uvgs_bench.geometry import Pose
 from uvgs_bench.navigation.error_state_filter import FilterConfig
-from uvgs_bench.navigation.factor_graph import FixedLagGraph, GraphConfig, body_covariance, middle_force
+from uvgs_bench.navigation.factor_graph import FixedLagGraph
+from uvgs_bench.navigation.gtsam_bridge import GraphConfig, body_covariance, middle_force
 from uvgs_bench.navigation.smoother import smooth
 from uvgs_bench.navigation.states import PoseMeasurement, SensedPose
 
