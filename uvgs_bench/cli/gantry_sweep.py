@@ -19,6 +19,9 @@ def gantry_sweep(
     bench: Annotated[Path | None, typer.Option(help=f"Bench file; {DEFAULT_BENCH} when absent.")] = None,
     camera: Annotated[Path | None, typer.Option(help="Camera calibration in place of the bench's.")] = None,
     port: Annotated[str | None, typer.Option(help="Gantry in place of the bench's, like grbl:/dev/ttyACM0.")] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Sensor parameters in place of the bench's, TOML.")
+    ] = None,
     camera_source: Annotated[str | None, typer.Option(help="Camera in place of the bench's, like uvc:0.")] = None,
     out: Annotated[
         Path, typer.Option(help="Folder the run folder is made in; a resumed run stays where it is.")
@@ -37,7 +40,7 @@ def gantry_sweep(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Sweep the beacon through a procedure and keep everything as a run.
+    """Sweep the beacon through a procedure and keep everything as a run; a trajectory is driven after its places.
 
     Ctrl-C stops the motion first, closes the run properly and says how to resume it; once more while it stops is a hard
     stop that loses the position. Ctrl-Z pauses at the next station until fg.
@@ -56,6 +59,8 @@ def gantry_sweep(
     if resume_run is not None:
         if seed is not None:
             raise ConfigError("a resumed run keeps its seed", key="--seed")
+        if config is not None:
+            raise ConfigError("a resumed run keeps its sensor", key="--config")
         run = read_run(resume_run)
         again = read_setup_of(
             run, procedure=procedure, bench=bench, camera=camera, gantry_spec=port, camera_spec=camera_source
@@ -76,7 +81,9 @@ def gantry_sweep(
     if dry_run:
         _print_plan(plan(read_procedure(procedure).seeded(seed), read_bench(bench).envelope), as_json)
         return
-    set_up = read_setup(procedure, bench, camera=camera, gantry_spec=port, camera_spec=camera_source, seed=seed)
+    set_up = read_setup(
+        procedure, bench, camera=camera, gantry_spec=port, camera_spec=camera_source, seed=seed, sensor=config
+    )
     with progress_sink(quiet=quiet) as sink:
         result = sweep(set_up, out, keep=keep, simulated_speed=sim_speed, sink=sink)
     _print_result(result, as_json)
@@ -92,6 +99,7 @@ def _print_plan(plan: Plan, as_json: bool) -> None:
         "waypoints": plan.waypoint_count,
         "register_waypoints": plan.register_waypoint_count,
         "captures": plan.capture_count,
+        **({} if plan.motion is None else {"motion_s": round(plan.motion.duration_s, 1)}),
         "distance_mm": round(mm_from_m(plan.distance_m), 3),
         "duration_s": round(plan.duration_s, 1),
         "checked": "every waypoint, approach and path lies inside the envelope",

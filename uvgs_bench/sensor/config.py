@@ -49,6 +49,7 @@ class UvgsConfig:
         emission_exponent: An LED shines as the cosine to its axis to this power, when brightness is compared.
         led_brightness_sigma: Deviation of the natural logarithm of brightness between good LEDs; 0 does not compare it.
         led_width_sigma: The same for the width of their spots.
+        rate_hz: Most captures per second that are looked at, the others are passed over; 0 looks at all.
 
     Raises:
         ValueError: A value outside its meaning.
@@ -89,6 +90,7 @@ class UvgsConfig:
     emission_exponent: float = 1.0
     led_brightness_sigma: float = 0.3
     led_width_sigma: float = 0.2
+    rate_hz: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.alpha <= 1.0:
@@ -122,6 +124,7 @@ class UvgsConfig:
             "emission_exponent",
             "led_brightness_sigma",
             "led_width_sigma",
+            "rate_hz",
         ):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")

@@ -105,6 +105,7 @@ def read_setup(
     gantry_spec: str | None = None,
     camera_spec: str | None = None,
     seed: int | None = None,
+    sensor: Path | None = None,
 ) -> SetUp:
     """Read and check everything a sweep depends on.
 
@@ -115,9 +116,10 @@ def read_setup(
         gantry_spec: Spec in place of the bench's.
         camera_spec: Spec in place of the bench's.
         seed: Seed of the procedure and of the simulated bench in place of the files'.
+        sensor: Settings of the sensor in place of the bench's.
 
     Returns:
-        The set-up.
+        The set-up; a motion takes no more captures than the sensor's ``rate_hz``.
 
     Raises:
         ConfigError: A file is missing or says something that cannot be meant, or camera and gantry do not go together.
@@ -139,9 +141,12 @@ def read_setup(
     if described.gantry_file is not None:
         sources[SETUP_GANTRY] = Path(described.gantry_file)
     config = UvgsConfig()
-    if described.sensor_file is not None:
-        sources[SETUP_SENSOR] = Path(described.sensor_file)
+    sensor_file = described.sensor_file if sensor is None else sensor
+    if sensor_file is not None:
+        sources[SETUP_SENSOR] = Path(sensor_file)
         config = read_document(sources[SETUP_SENSOR], UvgsConfig)
+    if planned.motion is not None and 0.0 < config.rate_hz < planned.motion.captures_hz:
+        planned = replace(planned, motion=replace(planned.motion, captures_hz=config.rate_hz))
     calibration, beacon = read_calibration(camera_file), read_beacon(sources[SETUP_BEACON])
     others = tuple(read_beacon(Path(other.file)) for other in described.others)
     sources |= {
@@ -209,6 +214,7 @@ def read_setup_of(
         gantry_spec=gantry_spec or manifest.gantry_spec,
         camera_spec=camera_spec or manifest.camera_spec,
         seed=manifest.seed,
+        sensor=Path(manifest.sources[SETUP_SENSOR]) if SETUP_SENSOR in manifest.sources else None,
     )
     # Captures after a seam must not repeat the simulated noise of those before it.
     return replace(set_up, noise_seed=manifest.seed + 1_000_003 * (1 + len(run.seams)))

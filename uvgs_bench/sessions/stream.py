@@ -14,6 +14,7 @@ from uvgs_bench.sensor.difference import Difference, DifferenceConfig, differenc
 from uvgs_bench.sensor.exposure import ExposureAdvice, clipped_leds
 from uvgs_bench.sensor.handover import HandoverPolicy, HandoverState, Held, hand_over, solve_all
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
+from uvgs_bench.sensor.pace import Pace
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted
 from uvgs_bench.sessions.exposure_loop import ExposureLoop
@@ -110,10 +111,13 @@ def solve_source(
     health = StreamHealth(sink, is_live=is_live)
     state, wanted = HandoverState(), how.active
     priors: dict[str, PoseEstimate] = {}
+    pace = Pace(max((sensor.config.rate_hz for sensor in sensors.values()), default=0.0))
     count = poses = 0
     if how.limit is None or how.limit > 0:
         for capture, pair in _captures(source, how.difference):
             check_interruption()
+            if not pace.takes(capture.t_ns):
+                continue
             _limit_threads(how.threads)
             outcomes = solve_all(capture, sensors, priors)
             if pair is not None:
