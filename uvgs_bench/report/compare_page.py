@@ -226,7 +226,8 @@ def _figures(comparison: Comparison) -> Section:
         said = "a trend is shown" if is_shown else "no trend is shown"
         component = trend.key.rsplit("_", 1)[0]
         digits = decimals_for([0.5 * (high - low)], default=1)
-        text = f"Over time {component} RMS changes by {mid:.{digits}f} % per day (95 %: {low:.{digits}f} to {high:.{digits}f}): {said}."
+        per_day, ends = f"{mid:.{digits}f} % per day", f"95 %: {low:.{digits}f} to {high:.{digits}f}"
+        text = f"Over time {component} RMS changes by {per_day} ({ends}): {said}."
         blocks.append(Paragraph(text))
     return Section("figures", "The runs side by side", tuple(blocks))
 

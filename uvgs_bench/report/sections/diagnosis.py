@@ -6,6 +6,7 @@ import numpy as np
 
 from uvgs_bench.accuracy.diagnosis import LEAST_VISITS, Suspect
 from uvgs_bench.accuracy.judgement import Judgement
+from uvgs_bench.accuracy.suspects import SightLimit
 from uvgs_bench.report.cells import Cell, Interval, Measured, Number, decimals_for
 from uvgs_bench.report.document import Block, Column, Definitions, Paragraph, Section, Table
 from uvgs_bench.store.run import Run
@@ -32,7 +33,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
             f"Nothing stands out: the residuals at {visits} stations fit no known cause better than chance would in "
             "one clean run of twenty. A cause that the registration absorbs whole cannot be seen here."
         )
-        return Section("diagnosis", title, (Paragraph(text),))
+        return Section("diagnosis", title, (Paragraph(text), *_sight(judgement.sight_limits)))
     text = (
         "Residuals were held against the signatures of known causes. These stand out, likeliest first. A suspect is "
         "no proof: each comes with the check that would confirm it. Chance is that of such residuals on a clean bench, "
@@ -56,7 +57,26 @@ def build(run: Run, judgement: Judgement) -> Section | None:
     )
     if like:
         blocks.append(Definitions(like))
+    blocks += _sight(judgement.sight_limits)
     return Section("diagnosis", title, tuple(blocks))
+
+
+def _sight(limits: tuple[SightLimit, ...]) -> tuple[Block, ...]:
+    """What silence about a cause means: how large it would have to be."""
+    if not limits:
+        return ()
+    rows: list[tuple[Cell, ...]] = []
+    for limit in limits:
+        is_seen = np.isfinite(limit.least)
+        least = Number(limit.least, decimals_for([0.1 * limit.least]), limit.unit)
+        rows.append((_capital(limit.title), least if is_seen else "cannot be seen in this run, whatever its size"))
+    columns = (Column("Cause"), Column("Named 19 times of 20 from", is_numeric=True))
+    caption = "How large a cause alone on a clean bench would have to be for a run like this one to name it."
+    return (Table(caption, columns, tuple(rows)),)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _row(s: Suspect) -> tuple[Cell, ...]:

@@ -6,13 +6,21 @@ from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.registration import Registration
 from uvgs_bench.geometry import FloatArray, Pose
 from uvgs_bench.geometry.se3 import euler_zyx_from_rotation, is_near_gimbal_lock
-from uvgs_bench.report.cells import Cell, Number
+from uvgs_bench.report.cells import Cell, Number, decimals_for
 from uvgs_bench.report.document import Alert, Alerts, Block, Column, Paragraph, Section, Table
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, mrad_from_rad, ms_from_s
 
 # A standard deviation below this is no doubt but the gauge's hold.
 _HELD_M = 1e-9
+_ABSORBING = (
+    "Registration absorbs any constant offset between what the sensor sees and where the gantry is. What remains is "
+    "noise, linearity, scale, depth error, drift and cross-coupling; absolute trueness needs more."
+)
+_INDEPENDENT = (
+    "The registration owes nothing to the sensor's poses: constant errors of the sensor stay in the errors of this "
+    "report, up to the doubt of the links below."
+)
 
 
 def build(run: Run, judgement: Judgement) -> Section | None:
@@ -33,14 +41,39 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         _pose_table(r.right, *r.sigmas("right")),
         _quality_table(r),
         *_terms(r),
-        Paragraph(
-            "Registration absorbs any constant offset between what the sensor sees and where the gantry is. What "
-            "remains is noise, linearity, scale, depth error, drift and cross-coupling; absolute trueness needs more."
-        ),
+        Paragraph(_INDEPENDENT if judgement.is_independent else _ABSORBING),
+        *_links(judgement),
     ]
     if r.blind_spots:
         blocks.append(Alerts(tuple(Alert("info", f"Not seen by these motions: {text}") for text in r.blind_spots)))
     return Section("registration", title, tuple(blocks))
+
+
+def _links(judgement: Judgement) -> list[Block]:
+    """The chain from the camera to the beacon, with what each link adds to the doubt of a prediction."""
+    if not judgement.links:
+        return []
+    rows: list[tuple[Cell, ...]] = []
+    for link in judgement.links:
+        position_mm, attitude_deg = mm_from_m(link.position_sigma_m), deg_from_rad(link.attitude_sigma_rad)
+        rows.append(
+            (
+                link.name,
+                Number(position_mm, decimals_for([position_mm]), "mm"),
+                Number(attitude_deg, decimals_for([attitude_deg]), "deg"),
+                "no" if link.is_independent else "yes",
+                link.source,
+            )
+        )
+    columns = (
+        Column("Link"),
+        Column("Adds to position, 1σ", is_numeric=True),
+        Column("Adds to attitude, 1σ", is_numeric=True),
+        Column("Rests on the sensor"),
+        Column("Known from"),
+    )
+    caption = "The chain from the camera to the beacon: what each link adds to the doubt of where the beacon should be."
+    return [Table(caption, columns, tuple(rows))]
 
 
 def _pose_table(pose: Pose, sigma_rad: FloatArray, sigma_m: FloatArray) -> Table:
