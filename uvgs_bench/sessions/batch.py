@@ -177,8 +177,10 @@ def run_batch(
             for source in missing:
                 outputs = _outputs(source, plan, taken)
                 taken.update(outputs)
-                may_replace = force or all(name in before.begun for name in outputs if Path(name).exists())
-                _note(stream, {"begun": list(outputs), "source": source})
+                strangers = [name for name in outputs if Path(name).exists() and name not in before.begun]
+                may_replace = force or not strangers
+                if may_replace:
+                    _note(stream, {"begun": list(outputs), "source": source})
                 words = _words(source, plan, outputs, may_replace)
                 waiting[pool.submit(run_source, words, str(Path.cwd()))] = source, outputs
             while waiting:
