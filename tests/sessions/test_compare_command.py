@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.helpers.judged_once import judged_once
 from tests.helpers.synthetic_run import synthetic_run, write_run
 from uvgs_bench.cli import app as cli
 from uvgs_bench.geometry import Pose
@@ -32,6 +34,12 @@ def spoilt(run: Run, shift_m: float) -> Run:
 def written(folder: Path, day: int, run: Run, **changes: object) -> Path:
     manifest = replace(run.manifest, created_utc=f"2026-01-{day:02d}T03:04:05.000Z", **changes)  # type: ignore[arg-type]
     return write_run(replace(run, manifest=manifest), folder / f"202601{day:02d}T030405Z_synthetic")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _once() -> Iterator[None]:
+    with judged_once():
+        yield
 
 
 @pytest.fixture(scope="module")
