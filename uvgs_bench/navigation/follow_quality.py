@@ -31,7 +31,7 @@ class FollowTrack:
     Args:
         t_s: Instants, shape (n,), s, ascending.
         error_m: Position off the station, leader's axes, shape (n, 3), m; NaN where unknown.
-        error_rad: Rotation vector off the wanted attitude, shape (n, 3), rad; NaN where unknown.
+        error_rad: Rotation vector off the wanted attitude, shape (n, 3), rad; NaN where unknown, which is no fault.
         miss_m: Position off the station in world axes, shape (n, 3), m; NaN where unknown.
         leader_m: Place of the leader in the world, shape (n, 3), m; NaN where unknown.
         is_fresh: Whether the capture gave a pose that was believed, shape (n,).
@@ -130,7 +130,7 @@ def judge_track(track: FollowTrack, tolerance_m: float, tolerance_rad: float, se
     error_m = np.linalg.norm(track.error_m, axis=1)
     error_rad = np.linalg.norm(track.error_rad, axis=1)
     is_known = np.isfinite(error_m)
-    within = is_known & (error_m <= tolerance_m) & (error_rad <= tolerance_rad)
+    within = is_known & (error_m <= tolerance_m) & ~(error_rad > tolerance_rad)
     spans = _losses(track)
     losses = tuple(_behaviour(track, error_m, within, begin, end) for begin, end in spans)
     is_upset = np.zeros(len(error_m), dtype=bool)
@@ -204,7 +204,8 @@ def _behaviour(
 def _is_moving(track: FollowTrack) -> NDArray[np.bool_]:
     """Whether the leader moves between a capture and the one before."""
     steps_m = np.linalg.norm(np.diff(track.leader_m, axis=0, prepend=track.leader_m[:1]), axis=1)
-    return steps_m > _NO_STEP_M
+    moves: NDArray[np.bool_] = steps_m > _NO_STEP_M
+    return moves
 
 
 def _overshoot(track: FollowTrack) -> float | None:
@@ -225,7 +226,8 @@ def _overshoot(track: FollowTrack) -> float | None:
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else np.nan
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
 
 
 def _worst(values: FloatArray) -> float:

@@ -280,6 +280,7 @@ class _Session:
         while True:
             check_interruption()
             progress.stamps = [*progress.stamps[-_KEPT_STAMPS:], stream.observe()[0]]
+            follower.see(progress.stamps[-1])
             now_ns = rig.clock.now_ns()
             elapsed_s = s_from_ns(now_ns - self._begun_ns)
             # What is ready only after the end moves nothing, and is no part of the session.

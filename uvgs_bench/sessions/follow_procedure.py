@@ -1,4 +1,4 @@
-"""A procedure with a motion as the leader of a follow session: its path through the gantry's axes, seen by the camera."""
+"""A procedure with a motion as the leader of a follow session: its path in gantry axes, as the camera sees it."""
 
 from __future__ import annotations
 

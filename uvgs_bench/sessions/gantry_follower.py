@@ -7,6 +7,7 @@ that place does not depend on the gantry's own motion, so that latency delays it
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -26,7 +27,7 @@ from uvgs_bench.navigation.pose_filter import (
     take_pose,
 )
 from uvgs_bench.sensor.outcome import PoseEstimate
-from uvgs_bench.units import mm_from_m, s_from_ns
+from uvgs_bench.units import mm_from_m, ns_from_s, s_from_ns
 
 # Length of a piece, s, and how far ahead pieces are told: what is told can be braked within it.
 PIECE_S = 0.05
@@ -39,6 +40,9 @@ _LEAST_SINE = 0.5
 # A controller keeps up with short pieces only while it has some speed and acceleration to spare.
 _SPARE = 0.5
 _SHORT_M = 1e-6
+# A carriage slower than this has no lag worth knowing, m/s; a new lag counts by a share, and up to a most, s.
+_SLOW_MPS, _LAG_SHARE, _MOST_LAG_S = 2e-3, 0.1, 0.5
+_KEPT_PIECES = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +144,8 @@ class GantryFollower:
         self.law = law_for(law, [envelope.axes[i] for i in view.linear])
         self._filtering = filtering
         self.end = np.array(start)
+        self._path: deque[tuple[int, FloatArray]] = deque([(t_ns, self.end)], maxlen=_KEPT_PIECES)
+        self._lag_s = 0.0
         self._memory = PoseMemory()
         self._is_fresh = False
         self.command: FollowCommand = rest_command(t_ns, self.law)
@@ -163,6 +169,21 @@ class GantryFollower:
         self._memory, accepted = take_pose(self._memory, pose, self._filtering)
         self._is_fresh |= accepted
         return accepted
+
+    def see(self, stamp: StampedPosition) -> None:
+        """Learn from a report how late the carriage is on its told path; the path is then led by as much."""
+        times = np.array([t_ns for t_ns, _ in self._path], dtype=np.float64)
+        i = int(np.searchsorted(times, stamp.t_ns))
+        late_s = 0.0
+        if 0 < i < len(times):
+            (before_ns, before), (after_ns, after) = self._path[i - 1], self._path[i]
+            span_s = s_from_ns(after_ns - before_ns)
+            velocity = (after - before) / span_s
+            square = float(velocity @ velocity)
+            if square > _SLOW_MPS * _SLOW_MPS:
+                told = before + s_from_ns(stamp.t_ns - before_ns) * velocity
+                late_s = float((told - stamp.position) @ velocity) / square
+        self._lag_s += _LAG_SHARE * (min(max(late_s, 0.0), _MOST_LAG_S) - self._lag_s)
 
     def next_piece(self, t_ns: int) -> FloatArray:
         """Where the next piece ends: of the length the law allows, within the envelope.
@@ -207,10 +228,11 @@ class GantryFollower:
                 c.error_m, c.error_rad,
             )  # fmt: skip
         self.end = target
+        self._path.append((self.command.t_ns + ns_from_s(PIECE_S), target))
 
     def _relative(self, line: SmoothedPose, t_ns: int) -> SmoothedPose:
-        """The told end seen from where the axes should be at ``t_ns``, the leader going on as it went."""
-        ahead_s = s_from_ns(t_ns - line.t_ns)
+        """The told end seen from where the axes should be when it is reached, the leader going on as it went."""
+        ahead_s = s_from_ns(t_ns - line.t_ns) + self._lag_s
         wanted = line.leader_from_body.t_m + ahead_s * line.velocity_mps
         k = len(self.view.linear)
         here = np.zeros(3)

@@ -29,7 +29,8 @@ def follow_track(run: FollowRun) -> FollowTrack:
     return FollowTrack(
         t_s=np.array([s_from_ns(c.t_ns - begun_ns) for c in run.cycles]),
         error_m=np.array([e[0] for e in errors]).reshape(-1, 3),
-        error_rad=np.array([e[1] for e in errors]).reshape(-1, 3),
+        # A gantry follows by its linear axes: of attitudes it knows nothing.
+        error_rad=np.array([e[1] * (np.nan if run.manifest.plant == "gantry" else 1.0) for e in errors]).reshape(-1, 3),
         miss_m=np.array([e[2] for e in errors]).reshape(-1, 3),
         leader_m=np.array([_NOWHERE if c.leader is None else c.leader.t_m for c in run.cycles]).reshape(-1, 3),
         is_fresh=np.array([c.is_accepted for c in run.cycles], dtype=bool),
