@@ -197,3 +197,32 @@ def test_a_full_disk_ends_the_record_and_the_poses_go_on(pictures, tmp_path):
     assert record.stat().st_size <= 400_000
     with open_bags([record]) as bags:
         assert bags.counts.get(IMAGE_TOPIC, 0) == 0 or bags.counts[IMAGE_TOPIC] < 4
+
+
+def test_a_record_that_was_cut_gives_what_is_whole(pictures, tmp_path):
+    record, cut = tmp_path / "r.mcap", tmp_path / "cut.mcap"
+    assert uvgs(f"images:{pictures / 'deep'}", *one(pictures), "--record", record, "--compression", "none") == 0
+    payload = record.read_bytes()
+    recording = open_recording(record)
+    whole = [(c.t_ns, c.source, c.image.tobytes()) for c in recording.captures()]
+    recording.close()
+    counts = []
+    for share in (0.02, 0.3, 0.6, 0.9, 0.999):
+        cut.write_bytes(payload[: int(share * len(payload))])
+        if not is_recording(cut):
+            counts.append(-1)
+            continue
+        recording = open_recording(cut)
+        found = [(c.t_ns, c.source, c.image.tobytes()) for c in recording.captures()]
+        assert recording.remarks
+        recording.close()
+        assert found == whole[: len(found)]
+        counts.append(len(found))
+    # A chunk is on disk with each picture of some MB.
+    assert counts == sorted(counts)
+    assert counts[0] < 1
+    assert counts[-1] == 4
+    out = tmp_path / "b.csv"
+    cut.write_bytes(payload[: int(0.6 * len(payload))])
+    assert uvgs(cut, "--out", out, "--quiet") == 0
+    assert 2 <= len(out.read_text().splitlines()) < 5
