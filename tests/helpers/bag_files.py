@@ -32,13 +32,14 @@ KINDS = ROS1_KINDS + ROS2_KINDS
 
 @dataclass(frozen=True)
 class Note:
-    """One message to write: fields besides the header by name."""
+    """One message to write: fields besides the header by name, or how to make one from the type store."""
 
     topic: str
     msgtype: str
     stamp_ns: int
     fields: dict[str, Any]
     log_ns: int | None = None
+    frame: str = "cam"
 
 
 def image_note(image: np.ndarray, stamp_ns: int, topic: str = "/cam/image_raw", log_ns: int | None = None) -> Note:
@@ -66,6 +67,7 @@ def write_bag(folder: Path, kind: str, notes: Sequence[Note], name: str = "a", *
     folder.mkdir(parents=True, exist_ok=True)
     is_ros1 = kind in ROS1_KINDS
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    options.pop("types", lambda _store: None)(store)
     path = folder / (f"{name}.bag" if is_ros1 else name)
     writer = _writer(path, kind, **options)
     with writer:
@@ -107,14 +109,15 @@ def _writer(path: Path, kind: str, **options: Any) -> Any:
 def _message(store: Any, note: Note, is_ros1: bool) -> Any:
     time = store.types["builtin_interfaces/msg/Time"](*divmod(note.stamp_ns, 10**9))
     header = store.types["std_msgs/msg/Header"]
-    stamped = header(0, time, "cam") if is_ros1 else header(time, "cam")
+    stamped = header(0, time, note.frame) if is_ros1 else header(time, note.frame)
     kind = store.types[note.msgtype]
     fields: dict[str, Any] = {}
     for name in kind.__dataclass_fields__:
         if name == "header":
             fields[name] = stamped
         elif name in note.fields or name.lower() in note.fields:
-            fields[name] = note.fields.get(name, note.fields.get(name.lower()))
+            value = note.fields.get(name, note.fields.get(name.lower()))
+            fields[name] = value(store) if callable(value) else value
         elif name == "roi":
             fields[name] = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
         elif name in ("binning_x", "binning_y"):

@@ -27,6 +27,7 @@ COMMANDS: dict[str, str] = {
     "camera": "uvgs_bench.cli.camera:app",
     "beacon": "uvgs_bench.cli.beacon:app",
     "run": "uvgs_bench.cli.run:run",
+    "bag": "uvgs_bench.cli.bag:app",
     "tune": "uvgs_bench.cli.tune:tune",
     "gantry": "uvgs_bench.cli.gantry:app",
     "gantry-sweep": "uvgs_bench.cli.gantry_sweep:gantry_sweep",

@@ -66,7 +66,7 @@ def choose_image_topic(types: Mapping[str, str], counts: Mapping[str, int], want
         hint = f"did you mean '{close[0]}'?" if close else f"expected one of: {', '.join(topics)}"
         raise ConfigError(f"no topic '{wanted}' of images, {hint}", bag)
     if len({base_topic(topic) for topic in near}) > 1:
-        raise ConfigError(f"several topics of images, say ?topic= one of: {', '.join(near)}", bag)
+        raise ConfigError(f"several topics of images, choose one: {', '.join(near)} (bag:FILE?topic=)", bag)
     return next((topic for topic in near if types[topic] == RAW), near[0])
 
 

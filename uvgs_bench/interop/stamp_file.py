@@ -1,7 +1,7 @@
 """``stamps.csv``: the instants of a folder of pictures, one line per picture, beside them.
 
 Columns: ``file`` (its name in the folder), ``t_ns`` (instant, ns), ``bayer`` (pattern of the mosaic it was developed
-from, or empty), and others for people.
+from, or empty), ``source`` (for people); others are ignored.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from uvgs_bench.errors import FormatError
 from uvgs_bench.sensor.capture import BayerPattern
 
 STAMP_FILE = "stamps.csv"
-_COLUMNS = ("file", "t_ns", "bayer", "source", "log_ns")
+_COLUMNS = ("file", "t_ns", "bayer", "source")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,23 +28,18 @@ class PictureStamp:
         t_ns: Its instant, ns.
         bayer: Pattern of the mosaic it was developed from, or None.
         source: Where it comes from, for people.
-        log_ns: When it was recorded, ns; None when unknown.
     """
 
     file: str
     t_ns: int
     bayer: BayerPattern | None = None
     source: str = ""
-    log_ns: int | None = None
 
 
 def stamps_text(stamps: Iterable[PictureStamp]) -> str:
     """The file for these pictures."""
-    lines = [",".join(_COLUMNS)]
-    for stamp in stamps:
-        log = "" if stamp.log_ns is None else str(stamp.log_ns)
-        lines.append(f"{stamp.file},{stamp.t_ns},{stamp.bayer or ''},{_quoted(stamp.source)},{log}")
-    return "\n".join(lines) + "\n"
+    lines = (f"{stamp.file},{stamp.t_ns},{stamp.bayer or ''},{_quoted(stamp.source)}" for stamp in stamps)
+    return "\n".join([",".join(_COLUMNS), *lines]) + "\n"
 
 
 def _quoted(text: str) -> str:

@@ -29,6 +29,21 @@ _MOST_SAME = 3
 _JUMP_NS = 5 * NS_PER_S
 
 
+def is_black(image: ImageArray, full_dn: float) -> bool:
+    """Whether no pixel is brighter than noise, given full scale, DN."""
+    return float(image.max()) < _BLACK * full_dn
+
+
+def is_overexposed(image: ImageArray, full_dn: float) -> bool:
+    """Whether so many pixels clip that no threshold finds a spot, given full scale, DN."""
+    return clipped_share(image, full_dn) > _MOST_CLIPPED
+
+
+def clipped_share(image: ImageArray, full_dn: float) -> float:
+    """Share of a sample of the pixels that clip, given full scale, DN."""
+    return float(np.mean(image[::_SAMPLED, ::_SAMPLED] >= _CLIPPED * full_dn))
+
+
 class StreamHealth:
     """Watches captures and outcomes and says what a person at the bench should look at.
 
@@ -78,14 +93,13 @@ class StreamHealth:
 
     def _cause(self, capture: Capture, is_frozen: bool) -> str:
         full = full_scale_of(capture)
-        shares = capture.image[::_SAMPLED, ::_SAMPLED].astype(np.float64) / full
-        clipped = float(np.mean(shares >= _CLIPPED))
-        if float(capture.image.max()) < _BLACK * full:
+        if is_black(capture.image, full):
             return (
                 f"the pictures are black (brightest pixel {int(capture.image.max())} of {full:.0f}): "
                 "lens cap, exposure, or no light?"
             )
-        if clipped > _MOST_CLIPPED:
+        if is_overexposed(capture.image, full):
+            clipped = clipped_share(capture.image, full)
             return f"the pictures are overexposed ({100.0 * clipped:.0f} % of the pixels clip): expose shorter"
         if is_frozen:
             return "the pictures are frozen: the camera repeats the same one"

@@ -102,7 +102,7 @@ def test_topics_are_chosen_and_mistakes_are_one_line(tmp_path):
     path = write(tmp_path / "two.bag", {"/left": [one], "/right": [image(types, "mono8", GREY + 1, 1)]})
     with open_camera(f"bag:{path}?topic=/right") as camera:
         assert camera.grab().image[0, 0] == 1
-    with pytest.raises(ConfigError, match=r"several topics of images, say \?topic= one of: /left, /right"):
+    with pytest.raises(ConfigError, match=r"several topics of images, choose one: /left, /right"):
         open_camera(f"bag:{path}")
     with pytest.raises(ConfigError, match="did you mean '/right'"):
         open_camera(f"bag:{path}?topic=/rigt")

@@ -12,7 +12,7 @@ from uvgs_bench.interop.stamp_file import PictureStamp, read_stamps, stamps_text
 
 pytestmark = pytest.mark.opencv
 STAMPS = (
-    PictureStamp("b.png", 1_700_000_000_000_000_001, None, "a.bag/cam#0", 5),
+    PictureStamp("b.png", 1_700_000_000_000_000_001, None, "a.bag/cam#0"),
     PictureStamp("a.png", 1_700_000_000_033_333_334, "rggb", 'odd, "name"'),
 )
 

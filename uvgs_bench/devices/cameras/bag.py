@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,23 +76,55 @@ class BagImages(ClosingSource):
         if not spec.target:
             raise ConfigError("name the bag, bag:FILE", spec.text)
         is_one = Path(spec.target).exists() or "," not in spec.target
+        paths = [Path(name) for name in ([spec.target] if is_one else spec.target.split(",")) if name]
+        wanted, info = spec.options.get("topic", ""), spec.options.get("info", "")
+        return cls.of(paths, spec.text, topic=wanted, info_topic=info, is_log_time=stamps == "log")
+
+    @classmethod
+    def of(
+        cls,
+        paths: Sequence[Path],
+        spec: str = "",
+        *,
+        topic: str = "",
+        info_topic: str = "",
+        is_log_time: bool = False,
+    ) -> BagImages:
+        """Open bags by their paths.
+
+        Args:
+            paths: Files or folders.
+            spec: What the user wrote, for messages.
+            topic: The topic of the pictures, its end or its namespace; empty when there is one.
+            info_topic: The topic of the camera's ``CameraInfo``; empty for the one in the pictures' namespace.
+            is_log_time: Whether the bags' own times are taken instead of the headers'.
+
+        Returns:
+            The open source.
+
+        Raises:
+            CaptureError: A bag is missing, is none, or holds no images.
+            ConfigError: The topic is none of the bag's, or one must be chosen.
+        """
+        shown = ",".join(str(path) for path in paths)
         try:
-            bags = open_bags([spec.target] if is_one else [name for name in spec.target.split(",") if name])
+            bags = open_bags(paths)
         except FormatError as error:
             raise CaptureError(str(error)) from None
         try:
-            topic = bag_topics.choose_image_topic(bags.types, bags.counts, spec.options.get("topic", ""), spec.text)
-            info = spec.options.get("info") or bag_topics.camera_info_topic(bags.types, bags.counts, topic)
-            if info is not None and bags.types.get(info) != bag_topics.CAMERA_INFO:
-                there = [name for name, kind in bags.types.items() if kind == bag_topics.CAMERA_INFO]
-                raise ConfigError(f"no CameraInfo '{info}', expected one of: {', '.join(there) or 'none'}", spec.text)
+            types, counts = bags.types, bags.counts
+            found = bag_topics.choose_image_topic(types, counts, topic, spec or shown)
+            info = info_topic or bag_topics.camera_info_topic(types, counts, found)
+            if info is not None and types.get(info) != bag_topics.CAMERA_INFO:
+                there = [name for name, kind in types.items() if kind == bag_topics.CAMERA_INFO]
+                raise ConfigError(f"no CameraInfo '{info}', expected one of: {', '.join(there) or 'none'}", spec)
         except FormatError as error:
             bags.close()
-            raise CaptureError(str(error).removeprefix(f"{spec.text}: "), spec.target) from None
+            raise CaptureError(str(error).removeprefix(f"{spec or shown}: "), shown) from None
         except ConfigError:
             bags.close()
             raise
-        return cls(spec.text, bags, topic, info, is_log_time=stamps == "log")
+        return cls(spec or f"bag:{shown}", bags, found, info, is_log_time=is_log_time)
 
     @property
     def remarks(self) -> tuple[str, ...]:
