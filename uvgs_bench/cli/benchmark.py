@@ -13,6 +13,7 @@ from uvgs_bench.cli.benchmark_centroids import centroids
 from uvgs_bench.cli.benchmark_detection import detection
 from uvgs_bench.cli.benchmark_labels import labels
 from uvgs_bench.cli.benchmark_live import live
+from uvgs_bench.cli.benchmark_missions import missions
 from uvgs_bench.cli.benchmark_solvers import solvers
 from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Json, Quiet, Seed
 
@@ -22,6 +23,7 @@ app.command("labels")(labels)
 app.command("detection")(detection)
 app.command("centroids")(centroids)
 app.command("calibration")(calibration)
+app.command("missions")(missions)
 app.command("live")(live)
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING
 
 from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
@@ -22,6 +22,7 @@ from uvgs_bench.errors import ConfigError, RunError, UnreadableDocument
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.beacon_group import check_group, group_sensor
+from uvgs_bench.sessions.early_log import EarlyLog
 from uvgs_bench.sessions.events import EventSink, Remark, ignore_events
 from uvgs_bench.sessions.interruption import interruptible
 from uvgs_bench.sessions.planning import Plan, plan
@@ -44,6 +45,9 @@ from uvgs_bench.store.run_writer import (
     utc_now,
 )
 from uvgs_bench.store.toml_text import toml_text
+
+if TYPE_CHECKING:
+    from uvgs_bench.devices.sim.bench import SimulatedBench
 
 DEFAULT_SIMULATED_SPEED = 50.0
 _CONTROLLER_SETTINGS = "controller_settings"
@@ -227,6 +231,7 @@ def sweep(
     keep: str = "all",
     simulated_speed: float = DEFAULT_SIMULATED_SPEED,
     sink: EventSink = ignore_events,
+    on_bench: Callable[[SimulatedBench], None] | None = None,
 ) -> SweepResult:
     """Open the bench, begin a run, and sweep.
 
@@ -236,6 +241,7 @@ def sweep(
         keep: Which pictures are kept: ``all``, ``worst`` or ``none``.
         simulated_speed: How much faster than real time a simulated bench runs.
         sink: Receives progress.
+        on_bench: Called with the simulated bench once it stands, for who compares with its truth.
 
     Returns:
         What was taken.
@@ -244,8 +250,8 @@ def sweep(
         UvgsError: As ``open_rig`` and ``run_sweep``; a bench that cannot be opened leaves no run folder.
         KeyboardInterrupt: As ``run_sweep``.
     """
-    log = _EarlyLog()
-    with interruptible(), open_rig(set_up, log, simulated_speed) as rig:
+    log = EarlyLog()
+    with interruptible(), open_rig(set_up, log, simulated_speed, on_bench) as rig:
         now = datetime.now(UTC)
         path = _free_folder(folder, f"{now:%Y%m%dT%H%M%SZ}_{set_up.plan.procedure.name}")
         writer = RunWriter.create(path, _manifest(set_up, rig, path.name, keep), set_up.files)
@@ -280,7 +286,7 @@ def resume(
     """
     if set_up.plan.motion is not None:
         raise RunError("ends with a motion, which is not taken up in the middle: begin a new run", str(run.path))
-    log = _EarlyLog()
+    log = EarlyLog()
     with interruptible(), open_rig(set_up, log, simulated_speed) as rig:
         hashes = set_up.hashes(rig.gantry.info)
         accepted = check_same_setup(run, set_up.plan, hashes, accepts_changes=accepts_changes)
@@ -292,35 +298,20 @@ def resume(
         return resume_sweep(run, set_up.plan, rig, writer, sink=sink, accepted=accepted)
 
 
-class _EarlyLog:
-    """Holds what passes on the wire before there is a run to write it to."""
-
-    def __init__(self) -> None:
-        self._held: list[tuple[int, str, str]] = []
-        self._writer: RunWriter | None = None
-
-    def __call__(self, t_ns: int, direction: str, text: str) -> None:
-        if self._writer is None:
-            self._held.append((t_ns, direction, text))
-        else:
-            self._writer.wire(t_ns, direction, text)
-
-    def forward_to(self, writer: RunWriter) -> Self:
-        for held in self._held:
-            writer.wire(*held)
-        self._held.clear()
-        self._writer = writer
-        return self
-
-
 @contextmanager
-def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIMULATED_SPEED) -> Iterator[Rig]:
+def open_rig(
+    set_up: SetUp,
+    log: EarlyLog,
+    simulated_speed: float = DEFAULT_SIMULATED_SPEED,
+    on_bench: Callable[[SimulatedBench], None] | None = None,
+) -> Iterator[Rig]:
     """Open gantry, camera and sensor, and close them at the end, the gantry last to be opened and first to be closed.
 
     Args:
         set_up: What was read.
         log: Receives everything on the gantry's wire.
         simulated_speed: How much faster than real time a simulated bench runs.
+        on_bench: Called with the simulated bench once it stands.
 
     Yields:
         The open devices; the sensor has its kernels compiled and has seen that the camera's pictures fit.
@@ -344,6 +335,8 @@ def open_rig(set_up: SetUp, log: _EarlyLog, simulated_speed: float = DEFAULT_SIM
                 clock=None if set_up.plan.motion is None else SteppedClock(),
             )
             stack.callback(twin.close)
+            if on_bench is not None:
+                on_bench(twin)
             clock, gantry_spec = twin.clock, spec_on_bench(gantry_spec, twin.name) or twin.gantry_spec
             camera_spec = twin.camera_spec if _is_own_camera(camera_spec) else camera_spec
         sensor = Uvgs(set_up.calibration, set_up.beacon, set_up.config, clock=_stage_clock)
