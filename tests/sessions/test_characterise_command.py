@@ -89,7 +89,7 @@ def test_settings_are_shown_changed_and_read_back(uvgs) -> None:
         (("--dial",), "say which"),
         (("--dial", "--axis", "Q"), "no linear axis 'Q'"),
         (("--dial", "--axis", "X", "--tests", "squareness"), "got 'squareness'"),
-        (("--board", "calib/boards/charuco_9x6.toml", "--grid", "4x1"), "numbers of 2 or more like 4x4x3"),
+        (("--board", "calib/boards/charuco_9x6.toml", "--grid", "4x1"), "numbers of 2 or more like 4x4x4"),
         (("--board", "calib/boards/charuco_9x6.toml", "--margin-mm", "190"), "has no room between margins"),
         (("--board", "calib/boards/charuco_9x6.toml", "--readings", "r"), "add --dial"),
     ],

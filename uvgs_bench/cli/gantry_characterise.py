@@ -60,7 +60,7 @@ def characterise(
     reversal_span_mm: Annotated[
         float, typer.Option(min=0.01, help="Way to and fro of the reversal test; over twice the backlash.")
     ] = 0.8,
-    grid: Annotated[str, typer.Option(help="Places per axis for scale and squareness.")] = "4x4x3",
+    grid: Annotated[str, typer.Option(help="Places per axis for scale and squareness.")] = "4x4x4",
     captures: Annotated[int, typer.Option(min=1, help="Pictures averaged at each visit.")] = 8,
     margin_mm: Annotated[float, typer.Option(min=0.0, help="Distance kept from the ends of travel.")] = 20.0,
     settle_s: Annotated[float, typer.Option(min=0.0, help="Wait before each reading.")] = 0.2,
@@ -149,7 +149,7 @@ def _options(
     except ValueError:
         counts = ()
     if not counts or min(counts) < 2:
-        raise ConfigError(f"expected numbers of 2 or more like 4x4x3, got {grid!r}", key="--grid")
+        raise ConfigError(f"expected numbers of 2 or more like 4x4x4, got {grid!r}", key="--grid")
     return Options(
         tests=tuple(test for test in TESTS if test in named or (test == "still" and not is_dial)),
         axis=axis.upper(),

@@ -27,6 +27,8 @@ DIAL_TESTS: tuple[Test, ...] = ("positioning", "reversal", "homing")
 
 # Uneven places on the unit interval, so that errors that repeat along a screw show.
 _UNEVEN = 0.382
+# Places of the grid are drawn to the ends of travel, where scale and squareness show most.
+_TO_THE_ENDS = 0.35
 _OVERSHOOT_M = 1e-3
 _MOST_OLD = 100
 _FEWEST_CORNERS = 6
@@ -59,7 +61,7 @@ class Options:
     reversal_steps: int = 8
     reversal_cycles: int = 4
     captures: int = 8
-    grid: tuple[int, ...] = (4, 4, 3)
+    grid: tuple[int, ...] = (4, 4, 4)
     margin_m: float = 0.02
     speed_mps: float = 0.0
     settle_s: float = 0.2
@@ -334,7 +336,9 @@ class _Planner:
         counts = self._options.grid
         steps = [np.array([value]) for value in self._middle]
         for order, i in enumerate(self._linear):
-            steps[i] = np.linspace(self._low[i], self._high[i], counts[min(order, len(counts) - 1)])
+            share = np.linspace(-1.0, 1.0, counts[min(order, len(counts) - 1)])
+            share = np.sign(share) * np.abs(share) ** _TO_THE_ENDS
+            steps[i] = self._middle[i] + 0.5 * (self._high[i] - self._low[i]) * share
         return [read_only(place) for place in np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, len(steps))]
 
 
