@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,11 +12,35 @@ from uvgs_bench.cli.options import Force, IntervalSeed, Json
 from uvgs_bench.errors import RegistrationError
 
 if TYPE_CHECKING:
-    from uvgs_bench.accuracy import Judgement
+    from uvgs_bench.accuracy import Judgement, Registration
+    from uvgs_bench.accuracy.independent import Independent
+    from uvgs_bench.store.run_types import Run
+
+
+class Term(StrEnum):
+    """What may be fitted beside the two poses."""
+
+    AXIS_SCALE = "axis_scale"
+    SQUARENESS = "squareness"
+    TIME_OFFSET = "time_offset"
+    TIME_RATE = "time_rate"
 
 
 def register(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
+    terms: Annotated[
+        list[Term] | None,
+        typer.Option("--terms", help="Fit this, too, if the data ask for it; may be given several times."),
+    ] = None,
+    board_file: Annotated[
+        Path | None, typer.Option("--board", help="Register by this board on the carriage, not by the sensor's poses.")
+    ] = None,
+    link_file: Annotated[
+        Path | None, typer.Option("--link", help="With --board: where the beacon sits on the board, as measured.")
+    ] = None,
+    board_run: Annotated[
+        Path | None, typer.Option("--board-run", help="With --board: run whose pictures show it.  [default: RUN]")
+    ] = None,
     out_file: Annotated[Path | None, typer.Option("--out", help="Write the registration as TOML.")] = None,
     force: Force = False,
     seed: IntervalSeed = None,
@@ -28,7 +53,9 @@ def register(
     from uvgs_bench.store.run import read_run
 
     found = read_run(run)
-    judgement = judge_run(found, seed=seed)
+    asked = tuple(term.value for term in terms or ())
+    independent = _by_board(found, board_run or run, board_file, link_file, asked)
+    judgement = judge_run(found, seed=seed, terms=asked, independent=independent)
     registration = judgement.registration
     if registration is None:
         raise RegistrationError(next(alert.text for alert in judgement.alerts if alert.level == "error"))
@@ -36,12 +63,41 @@ def register(
         write_registration(out_file, registration, found.manifest.id, force=force)
     if as_json:
         emit_json(
-            registration_tables(registration, found.manifest.id) | {"split": judgement.split} | _errors(judgement)
+            registration_tables(registration, found.manifest.id)
+            | {"split": judgement.split, "links": [_plain(link) for link in judgement.links]}
+            | _errors(judgement)
         )
         return
     _print_registration(judgement)
     if out_file is not None:
         print_path("written", out_file)
+
+
+def _by_board(
+    judged: Run, board_run: Path, board_file: Path | None, link_file: Path | None, terms: tuple[str, ...]
+) -> Independent | None:
+    """The registration by a board when one was asked for. Raises ConfigError when half of it is missing."""
+    from uvgs_bench.errors import ConfigError
+    from uvgs_bench.sessions.register import register_by_board
+    from uvgs_bench.store.board_links import read_board_link
+    from uvgs_bench.store.boards import read_board
+    from uvgs_bench.store.run import read_run
+
+    if board_file is None:
+        if link_file is not None or board_run != judged.path:
+            raise ConfigError("needs --board, the board that rides the carriage", key="--link --board-run")
+        return None
+    if link_file is None:
+        raise ConfigError("needs --link, where the beacon sits on the board and who measured it", key="--board")
+    board = read_board(board_file)
+    link = read_board_link(link_file, board.name, judged.beacon.name)
+    return register_by_board(read_run(board_run), board, link, judged=judged, terms=terms)
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return asdict(value)
 
 
 def _errors(judgement: Judgement) -> dict[str, Any]:
@@ -62,6 +118,25 @@ def _errors(judgement: Judgement) -> dict[str, Any]:
             "attitude_rms_deg": [in_deg.value, in_deg.low, in_deg.high],
         }
     return figures
+
+
+def _term_lines(registration: Registration) -> list[str]:
+    """Fitted terms with half of their 95 % intervals."""
+    from uvgs_bench.units import mrad_from_rad, ms_from_s, percent_from_fraction
+
+    lines = []
+    axes = registration.axis_terms
+    if axes is not None:
+        for k, axis in enumerate("xyz"):
+            value, half = (percent_from_fraction(float(v[k])) for v in (axes.scale, axes.half_widths))
+            lines.append(f"axis {axis} travels {value:.4f} ± {half:.4f} % farther" if half else f"axis {axis} held")
+        for k, pair in enumerate(("xy", "xz", "yz")):
+            value, half = (mrad_from_rad(float(v)) for v in (axes.shear_rad[k], axes.half_widths[3 + k]))
+            lines.append(f"axes {pair} lean {value:.3f} ± {half:.3f} mrad" if half else f"axes {pair} held")
+    if registration.time_offset_s is not None:
+        found = registration.time_offset_s.scaled(ms_from_s(1.0))
+        lines.append(f"captures are stamped {found.value:.2f} ms late ({found.low:.2f} to {found.high:.2f})")
+    return lines
 
 
 def _print_registration(judgement: Judgement) -> None:
@@ -93,6 +168,14 @@ def _print_registration(judgement: Judgement) -> None:
     out.print(f"sees {registration.rank} of 12 directions; gauge: {escape(registration.gauge)}")
     for text in registration.blind_spots:
         out.print(f"- {escape(text)}")
+    for note in registration.term_notes:
+        out.print(f"- {escape(note)}")
+    for line in _term_lines(registration):
+        out.print(f"  {line}")
+    for link in judgement.links:
+        own = "" if link.is_independent else ", not independent of the sensor"
+        size = f"± {mm_from_m(link.position_sigma_m):.3f} mm, {deg_from_rad(link.attitude_sigma_rad):.4f} deg"
+        out.print(f"link {escape(link.name)}: {size} ({escape(link.source)}{own})")
     out.print(f"{judgement.split}; noise level {registration.variance_factor**0.5:.2f} of what the sensor states")
     for key, figure in _errors(judgement).items():
         if figure is not None:

@@ -108,6 +108,10 @@ class GantryFile:
         keep_out: Boxes no move may touch: for each, an interval by axis as ``X_mm = [lower, upper]`` or
             ``A_deg = [lower, upper]``; an axis not named is blocked over its whole travel.
         calibration: What ``uvgs gantry characterise`` found of scale and squareness, relative to the bench file.
+        time_sigma_ms: Doubt of the captures' instants against the gantry's, standard deviation, ms; for the
+            uncertainty budget of captures in motion.
+        temperature_span_k: By how much the temperature of gantry and beacon may differ from when they were measured,
+            from the lowest to the highest, K; for the uncertainty budget.
     """
 
     axes: tuple[AxisFile, ...]
@@ -116,10 +120,16 @@ class GantryFile:
     position_sigma_mm: float = 0.05
     keep_out: tuple[dict[str, tuple[float, float]], ...] = ()
     calibration: str | None = None
+    time_sigma_ms: float | None = None
+    temperature_span_k: float | None = None
 
     def __post_init__(self) -> None:
         if not self.position_sigma_mm > 0.0:
             raise ValueError(f"position_sigma_mm must be positive, got {self.position_sigma_mm}")
+        for key in ("time_sigma_ms", "temperature_span_k"):
+            value = getattr(self, key)
+            if value is not None and not value >= 0.0:
+                raise ValueError(f"{key} must not be negative, got {value}")
 
     def envelope(self) -> Envelope:
         """Axes and keep-out boxes in m and rad.

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from uvgs_bench.accuracy import Registration
+from uvgs_bench.accuracy.bench_terms import TERM_COUNT
+from uvgs_bench.accuracy.clusters import Estimate
 from uvgs_bench.accuracy.observations import Mount
 from uvgs_bench.accuracy.registration import FRAMES_BY_MOUNT
 from uvgs_bench.errors import ConfigError
-from uvgs_bench.geometry import Pose
+from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.geometry.se3 import euler_zyx_from_rotation
 from uvgs_bench.store.documents import SCHEMA_KEY, read_toml, write_atomically
 from uvgs_bench.store.toml_text import toml_text
-from uvgs_bench.units import deg_from_rad, m_from_mm, mm_from_m
+from uvgs_bench.units import deg_from_rad, m_from_mm, mm_from_m, mrad_from_rad, ms_from_s, rad_from_mrad, s_from_ms
 
 
 def registration_tables(registration: Registration, run_id: str) -> dict[str, object]:
@@ -42,9 +45,78 @@ def registration_tables(registration: Registration, run_id: str) -> dict[str, ob
         "variance_factor": registration.variance_factor,
         "degrees_of_freedom": registration.degrees_of_freedom,
         "gantry_sigma_mm": mm_from_m(registration.gantry_sigma_m),
+        "sensor_factor": registration.sensor_factor,
+        "stopping_sigma_mm": mm_from_m(registration.stopping_sigma_m),
         "left": _pose_table(registration, "left"),
         "right": _pose_table(registration, "right"),
+        **_term_tables(registration),
     }
+
+
+def _term_tables(registration: Registration) -> dict[str, object]:
+    """Table ``terms`` of what was fitted beside the poses, with the reasons; nothing when none was asked for."""
+    if not registration.term_notes:
+        return {}
+    table: dict[str, object] = {"notes": list(registration.term_notes)}
+    axes = registration.axis_terms
+    if axes is not None:
+        table |= {
+            "scale": axes.scale.tolist(),
+            "scale_half_width": axes.half_widths[:3].tolist(),
+            "shear_mrad": mrad_from_rad(axes.shear_rad).tolist(),
+            "shear_half_width_mrad": mrad_from_rad(axes.half_widths[3:]).tolist(),
+            "held_directions": axes.null_directions.tolist(),
+        }
+    if registration.time_offset_s is not None:
+        table |= {"time_offset_ms": _with_ends(registration.time_offset_s.scaled(ms_from_s(1.0)))}
+    if registration.time_rate is not None:
+        table |= {"time_rate": _with_ends(registration.time_rate)}
+    if np.any(registration.terms[6:]):
+        table["origin_ns"] = registration.origin_ns
+    return {"terms": table}
+
+
+def _with_ends(found: Estimate) -> list[float]:
+    return [found.value, found.low, found.high]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegisteredTerms:
+    """What a registration file says besides the two poses.
+
+    Args:
+        values: Scales x, y, z, shears xy, xz, yz, time offset and its rate, shape (8,), 1, rad, s, s/s; zero where not
+            fitted: as ``moved_carriage_m`` takes them.
+        origin_ns: Instant for which the time offset is quoted, ns.
+    """
+
+    values: FloatArray
+    origin_ns: int
+
+
+def read_registered_terms(path: Path) -> RegisteredTerms:
+    """Read the terms of a registration file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The terms; all zero when none were fitted, or asked for.
+
+    Raises:
+        UnreadableDocument: It is missing or unreadable.
+        ConfigError: Its terms are none.
+    """
+    table: Any = read_toml(path).get("terms", {})
+    values = np.zeros(TERM_COUNT)
+    try:
+        values[:3] = table.get("scale", 0.0)
+        values[3:6] = rad_from_mrad(np.asarray(table.get("shear_mrad", 0.0), dtype=np.float64))
+        values[6] = s_from_ms(float(table.get("time_offset_ms", [0.0])[0]))
+        values[7] = float(table.get("time_rate", [0.0])[0])
+        return RegisteredTerms(read_only(values), int(table.get("origin_ns", 0)))
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        raise ConfigError(f"these are no terms as uvgs register writes them: {error}", str(path), "terms") from None
 
 
 def write_registration(path: Path, registration: Registration, run_id: str, *, force: bool = False) -> None:
