@@ -41,4 +41,7 @@ def test_scripts_run_without_complaint(page: Path, width_px: int) -> None:
     assert len(re.findall(r'class="may-live is-live"', held)) == 2
     # One canvas in space, one chart a unit of the time series.
     assert held.count("<canvas") == 3
+    # Position, lateral, depth, attitude: one of them colours the map.
+    assert held.count('aria-pressed="true"') == 1
+    assert held.count('aria-pressed="false"') == 3
     assert held.count('class="u-legend') >= 2

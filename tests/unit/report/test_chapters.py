@@ -225,3 +225,38 @@ def test_dim_captures_stay_dim(tmp_path: Path, dtype: str, level: int, shown: in
     assert image is not None
     # One grey level of rounding.
     assert abs(int(image[0, 0, 0]) - shown) <= 1
+
+
+def test_the_largest_seen_is_no_interval_of_no_width(run: Run, judgement: Judgement) -> None:
+    limit = Limit.of("position_max_mm", 2.0)
+    met = LimitVerdict(limit, 1.3, 1.3, 1.3, 80, "pass", "95 % interval 1.3 to 1.3 mm is within the limit")
+    missed = replace(met, limit=Limit.of("position_max_mm", 1.0), verdict="fail")
+    rows = tables(limits.build(run, replace(judgement, verdicts=(met, missed))))[0].rows
+    assert [row[3] for row in rows] == ["the largest seen", "the largest seen"]
+    assert "95 % of all lie below it" in str(rows[0][6])
+    assert "beyond" in build.headline(replace(judgement, verdict="fail", verdicts=(missed,)))
+    of_errors = tables(section(build_document(run, judgement), "accuracy"))[0]
+    assert [column.label for column in of_errors.columns][-1] == "Largest"
+    assert all(isinstance(row[-1], Number) for row in of_errors.rows)
+
+
+def test_the_map_tells_stations_that_judge_from_those_that_fitted(run: Run, judgement: Judgement) -> None:
+    (figure,) = [f for f in section(build_document(run, judgement), "volume").blocks if getattr(f, "live", "")]
+    assert isinstance(figure, Figure)
+    *columns, times = [np.array(series.values) for series in figure.series]
+    assert {len(column) for column in columns} == {15}
+    assert int(columns[7].sum()) == 5
+    assert judgement.table is not None
+    # The mean error of the first station that judges, in mm.
+    first = judgement.table.station == judgement.table.station.min()
+    expected = 1e3 * judgement.table.translation_error_m[first].mean(axis=0)
+    np.testing.assert_allclose([columns[k][0] for k in (3, 4, 5)], expected, rtol=1e-12)
+    assert f"{times[0]:g} times as long as true" in figure.caption
+
+
+def test_stations_judged_by_folds_are_drawn_once(run: Run, judgement: Judgement) -> None:
+    folded = replace(judgement, in_sample_table=judgement.table)
+    (figure,) = [f for f in section(build_document(run, folded), "volume").blocks if getattr(f, "live", "")]
+    assert isinstance(figure, Figure)
+    assert len(figure.series[0].values) == 10
+    assert not any(figure.series[7].values)

@@ -13,8 +13,10 @@ from tests.helpers.synthetic_run import empty_judgement, observations_of, synthe
 from uvgs_bench.accuracy.bench_terms import AxisTerms
 from uvgs_bench.accuracy.clusters import Estimate
 from uvgs_bench.accuracy.diagnosis import Suspect
+from uvgs_bench.accuracy.independent import Link
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.quantity_catalogue import quantity
+from uvgs_bench.accuracy.suspects import SightLimit
 from uvgs_bench.accuracy.uncertainty import Budget, BudgetLine
 from uvgs_bench.report import build_document
 from uvgs_bench.report.bench_drawing import bench_figure
@@ -205,3 +207,26 @@ def test_a_page_carries_only_the_scripts_it_needs(document: Document) -> None:
     still = render_html(replace(document, sections=document.sections[:1]))
     assert "uPlot" not in still
     assert Page(still).tags["script"] == 1
+
+
+def test_silence_comes_with_how_large_a_cause_would_have_to_be(run: Run, judgement: Judgement) -> None:
+    limits = (SightLimit("scale", "axis x travels too far", "%", 0.12), SightLimit("latency", "late", "ms", INF))
+    built = diagnosis.build(run, replace(judgement, diagnosis=(), sight_limits=limits))
+    (least,) = tables(built)
+    assert isinstance(least.rows[0][1], Number)
+    assert least.rows[0][1].value == 0.12
+    assert "cannot be seen" in str(least.rows[1][1])
+
+
+def test_the_chain_of_links_says_what_rests_on_the_sensor(run: Run, judgement: Judgement) -> None:
+    links = (Link("camera to gantry", 1e-4, 2e-4, "a board", True), Link("board to beacon", INF * 0, 1e-4, "?", False))
+    built = registration.build(run, replace(judgement, links=links, is_independent=True))
+    chain = tables(built)[-1]
+    assert [row[3] for row in chain.rows] == ["no", "yes"]
+    known, unknown = chain.rows[0][1], chain.rows[1][1]
+    assert isinstance(known, Number)
+    assert known.value == pytest.approx(0.1)
+    assert isinstance(unknown, Number)
+    assert unknown.shown == "–"
+    assert "owes nothing to the sensor" in words(built)
+    assert "absorbs any constant offset" in words(registration.build(run, judgement))
