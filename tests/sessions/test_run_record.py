@@ -226,3 +226,33 @@ def test_a_record_that_was_cut_gives_what_is_whole(pictures, tmp_path):
     cut.write_bytes(payload[: int(0.6 * len(payload))])
     assert uvgs(cut, "--out", out, "--quiet") == 0
     assert 2 <= len(out.read_text().splitlines()) < 5
+
+
+def test_nothing_is_written_over_what_is_read(pictures, tmp_path, capfd):
+    record = tmp_path / "r.mcap"
+    assert uvgs(f"images:{pictures / 'deep'}", *one(pictures), "--record", record, "--limit", 1) == 0
+    before = record.read_bytes()
+    (tmp_path / "link.mcap").symlink_to(record)
+    for words in (
+        (record, "--record", record),
+        (record, "--out", tmp_path / "link.mcap"),
+        (f"bag:{record}?topic=/x", "--out", record),
+        (f"bag:{tmp_path / 'other.bag'},{record}", "--out", record),
+    ):
+        assert uvgs(*words, "--force", "--quiet") == 2
+        assert "is what is read" in capfd.readouterr().err
+    assert record.read_bytes() == before
+
+
+def test_another_version_is_said(pictures, tmp_path, monkeypatch, capfd):
+    from uvgs_bench.sessions import provenance
+
+    record = tmp_path / "r.mcap"
+    assert uvgs(f"images:{pictures / 'deep'}", *one(pictures), "--record", record, "--limit", 1) == 0
+    monkeypatch.setattr(provenance, "program_versions", lambda: {"uvgs_bench": "9.9", "numpy": np.__version__})
+    capfd.readouterr()
+    assert uvgs(record, "--out", tmp_path / "p.csv", "--quiet") == 0
+    said = capfd.readouterr().err
+    assert "the last digits of poses may differ" in said
+    assert "now 9.9" in said
+    assert "numpy" not in said

@@ -211,7 +211,7 @@ def run(
     if source is None:
         raise ConfigError("is needed, or a list of them with --batch", "SOURCE")
     options = OutletOptions(tuple(out or ()), compression, annotated, astrobee, udp, rate_hz, debug_images, force)
-    options.check(record)
+    options.check(source, record)
     is_interrupted = False
     with ExitStack() as stack:
         sink = stack.enter_context(progress_sink(quiet=quiet))

@@ -42,10 +42,11 @@ class OutletOptions:
     debug_images: Path | None = None
     force: bool = False
 
-    def check(self, record: Path | None, *shown: object) -> None:
+    def check(self, source: str, record: Path | None, *shown: object) -> None:
         """Refuse options that cannot be meant together.
 
         Args:
+            source: What is read; nothing may be written over it.
             record: File of the record, or None.
             shown: Further places that are told while the stream runs, None or False when they are not.
 
@@ -59,6 +60,10 @@ class OutletOptions:
         for path in self.out:
             if (*self.out, *records).count(path) > 1:
                 raise ConfigError(f"{path} is named twice", "--out")
+        read = {Path(part).absolute() for part in (source, *source.partition(":")[2].partition("?")[0].split(","))}
+        for path in (*self.out, *records):
+            if path.absolute() in read or any(path.exists() and file.exists() and path.samefile(file) for file in read):
+                raise ConfigError("is what is read; write to another file", str(path))
         has_bag = any(path.suffix in (".bag", ".mcap") for path in self.out)
         for word, ending in (("bz2", ".bag"), ("zstd", ".mcap")):
             if self.compression == word and not any(path.suffix == ending for path in (*self.out, *records)):

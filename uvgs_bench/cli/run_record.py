@@ -39,6 +39,7 @@ def recording_of(source: str, stack: ExitStack, sink: EventSink) -> Recording | 
     if path.suffix != ".mcap":
         return None
     from uvgs_bench.sessions.events import Remark
+    from uvgs_bench.sessions.provenance import program_versions
     from uvgs_bench.sessions.replay import is_recording, open_recording
 
     if not is_recording(path):
@@ -47,6 +48,10 @@ def recording_of(source: str, stack: ExitStack, sink: EventSink) -> Recording | 
     stack.callback(recording.close)
     versions = recording.setup.versions
     sink(Remark("info", f"{path}: a record of {recording.setup.source} by {versions.get('uvgs_bench', 'unknown')}"))
+    now = program_versions()
+    other = [f"{name} {versions.get(name, 'none')}, now {now[name]}" for name in now if versions.get(name) != now[name]]
+    if other:
+        sink(Remark("warning", f"{path}: the last digits of poses may differ, it was made with {'; '.join(other)}"))
     for text in recording.remarks:
         sink(Remark("warning", text))
     return recording
