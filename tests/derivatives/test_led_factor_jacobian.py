@@ -7,7 +7,7 @@ import pytest
 
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import Pose
-from uvgs_bench.navigation.led_factor import led_residual, pixel_sigma
+from uvgs_bench.navigation.led_factor import led_residual, pixel_covariance
 from uvgs_bench.navigation.states import SensedPose
 
 LEDS_M = np.array([[0.005, 0.077, -0.002], [-0.05, -0.068, -0.016], [0.054, -0.009, -0.013], [0.033, -0.048, -0.062]])
@@ -61,5 +61,10 @@ def test_centroid_noise_is_found_back_from_the_covariance_it_made():
         x, y, z = point
         J.append(D @ np.hstack((-np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]), np.eye(3))))
     J = np.concatenate(J)
-    sensed = SensedPose(0, CAMERA_FROM_BEACON, 0.05**2 * np.linalg.inv(J.T @ J))
-    assert pixel_sigma(lens, LEDS_M, sensed) == pytest.approx(0.05, rel=1e-6)
+    noise = 0.05**2 * np.linalg.inv(J.T @ J)
+    alone = pixel_covariance(lens, LEDS_M, SensedPose(0, CAMERA_FROM_BEACON, noise))
+    np.testing.assert_allclose(alone, 0.05**2 * np.eye(8), rtol=1e-6, atol=1e-12)
+    # What is the same in every capture comes on top, and gives the pose its whole covariance back.
+    total = noise + np.diag(np.repeat((1e-8, 1e-6), 3))
+    W = np.linalg.inv(pixel_covariance(lens, LEDS_M, SensedPose(0, CAMERA_FROM_BEACON, total, noise_covariance=noise)))
+    np.testing.assert_allclose(np.linalg.inv(J.T @ W @ J), total, rtol=1e-6, atol=1e-12)

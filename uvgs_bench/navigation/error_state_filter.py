@@ -349,14 +349,14 @@ class ErrorStateFilter:
         self, state: FloatArray, P: FloatArray, held: _Believed, L: FloatArray | None, residual: FloatArray
     ) -> None:
         if held.opens:
-            _widen(P, residual)
+            widen(P, residual)
         if L is None:
             L, _ = innovation_covariance(P, held.noise, held.rows, residual)
         correct(state, P, L, held.noise, held.rows, residual)
 
 
-def _widen(P: FloatArray, residual: FloatArray) -> None:
-    """Admit that the state was off by a residual: pose, and velocity by as much per second."""
+def widen(P: FloatArray, residual: FloatArray) -> None:
+    """Admit in place that the state was off by a residual: pose, and velocity by as much per second."""
     P[np.ix_(POSE_ROWS, POSE_ROWS)] += np.diag(residual**2)
     P[_VELOCITY_ROWS, _VELOCITY_ROWS] += residual[3:] ** 2
 

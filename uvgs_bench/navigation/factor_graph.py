@@ -22,11 +22,11 @@ from uvgs_bench.camera.lens import Lens
 from uvgs_bench.errors import ConfigError
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.geometry.se3 import so3_exp
-from uvgs_bench.navigation.error_state_filter import FilterConfig, UpdateRecord, packed, unpacked
-from uvgs_bench.navigation.filter_kernels import innovation_covariance, pose_residual, propagate
+from uvgs_bench.navigation.error_state_filter import FilterConfig, UpdateRecord, packed, unpacked, widen
+from uvgs_bench.navigation.filter_kernels import correct, innovation_covariance, pose_residual, propagate
 from uvgs_bench.navigation.gate import InnovationGate
 from uvgs_bench.navigation.gtsam_bridge import GraphConfig, body_covariance, load_gtsam, middle_force
-from uvgs_bench.navigation.led_factor import led_residual, pixel_sigma
+from uvgs_bench.navigation.led_factor import led_residual, pixel_covariance
 from uvgs_bench.navigation.states import NavigationState, PoseMeasurement, SensedPose
 from uvgs_bench.units import ns_from_s, s_from_ns
 
@@ -85,7 +85,8 @@ class FixedLagGraph:
         self._last_reading: FloatArray | None = None
         self._beacon = world_from_beacon
         self._node, self._nodes = 0, [start.t_ns]
-        self._x = packed(start)
+        # Of the last node, as the filter would have it, for the gate. Answers state the graph's own.
+        self._x, self._P = packed(start), np.array(start.covariance)
         self._begin(start)
 
     @property
@@ -121,7 +122,9 @@ class FixedLagGraph:
         if s_from_ns(t_ns - self._nodes[-1]) > self.graph.pause_s:
             middle_ns = self._readings[len(self._readings) // 2][0]
             pim = self._preintegrated(middle_ns)
-            self._add_node(middle_ns, pim, self._predicted(pim)[0])
+            x, mean = self._predicted(pim)
+            self._age(self._P, mean, middle_ns)
+            self._add_node(middle_ns, pim, x)
             self._solve()
 
     def add_pose(self, measurement: PoseMeasurement, sensed: SensedPose | None = None) -> UpdateRecord:
@@ -139,7 +142,7 @@ class FixedLagGraph:
         if t_ns < self._nodes[0] or s_from_ns(self._nodes[-1] - t_ns) > self.graph.lag_s:
             return UpdateRecord(t_ns, source, "too_old", np.nan, delay_s, read_only(np.full(6, np.nan)))
         is_new = t_ns > self._nodes[-1] + _SAME_NS
-        x, P = self._x.copy(), self._expected()
+        x, P = self._x.copy(), self._P.copy()
         index = self._node
         pim = None
         own_noise = measurement.covariance
@@ -148,9 +151,7 @@ class FixedLagGraph:
         if is_new:
             pim = self._preintegrated(t_ns)
             x, mean = self._predicted(pim)
-            # One coarse step: the gate does not need more.
-            dt_s = s_from_ns(t_ns - self._nodes[-1])
-            propagate(self._x.copy(), P, _PHI, mean, dt_s, self._noise, self._gravity, False)
+            self._age(P, mean, t_ns)
         else:
             index = int(np.argmin([abs(node - t_ns) for node in self._nodes])) + self._node - len(self._nodes) + 1
             if abs(self._nodes[index - self._node - 1] - t_ns) > _SAME_NS:
@@ -158,7 +159,7 @@ class FixedLagGraph:
             x, measurement = self._moved(index, measurement)
         R, place, noise = measurement.world_from_body.R, measurement.world_from_body.t_m, measurement.covariance
         residual = pose_residual(x, R, place)
-        _, distance = innovation_covariance(P, noise, _POSE_ROWS, residual)
+        L, distance = innovation_covariance(P, noise, _POSE_ROWS, residual)
         status = self._gate.judge(source, t_ns, distance, residual, noise, P)
         record = UpdateRecord(t_ns, source, status, distance, delay_s, read_only(residual))
         if status == "refused":
@@ -166,6 +167,11 @@ class FixedLagGraph:
         if pim is not None:
             self._add_node(t_ns, pim, x)
             index = self._node
+        if status == "reopened":
+            widen(P, residual)
+            L, _ = innovation_covariance(P, noise, _POSE_ROWS, residual)
+        correct(x.copy(), P, L, noise, _POSE_ROWS, residual)
+        self._P = P
         self._add_factor(index, measurement, own_noise, sensed, status == "reopened")
         self._solve()
         return record
@@ -216,6 +222,11 @@ class FixedLagGraph:
         self._values.insert(v, state[3:6])
         self._values.insert(b, g.imuBias.ConstantBias(state[15:18], state[18:21]))
         self._stamps |= dict.fromkeys((x, v, b), s_from_ns(t_ns))
+
+    def _age(self, P: FloatArray, mean: FloatArray, t_ns: int) -> None:
+        """Carry the gate's covariance from the last node to an instant, in one coarse step."""
+        dt_s = s_from_ns(t_ns - self._nodes[-1])
+        propagate(self._x.copy(), P, _PHI, mean, dt_s, self._noise, self._gravity, False)
 
     def _preintegrated(self, t_ns: int) -> Any:
         """The readings from the last node to an instant as one factor's worth."""
@@ -327,7 +338,7 @@ class FixedLagGraph:
         assert sensed.led_px is not None
         seen = np.isfinite(sensed.led_px).all(axis=1)
         points_m, px = leds_m[seen], sensed.led_px[seen]
-        sigma_px = pixel_sigma(lens, points_m, sensed)
+        covariance_px2 = pixel_covariance(lens, points_m, sensed)
         keys = [x, g.symbol("w", 0)] if self.graph.learns_beacon else [x]
         fixed, camera_from_body = self._beacon, self._camera_from_body
 
@@ -341,7 +352,7 @@ class FixedLagGraph:
                     jacobians[1] = by_beacon
             return e
 
-        noise = self._robust(g.noiseModel.Isotropic.Sigma(2 * len(px), sigma_px))
+        noise = self._robust(g.noiseModel.Gaussian.Covariance(covariance_px2))
         return g.CustomFactor(noise, keys, error)
 
     def _solve(self) -> None:
@@ -354,19 +365,6 @@ class FixedLagGraph:
         self._x = self._state_of(self._node)
         if self.graph.learns_beacon:
             self._beacon = _pose_of(self._smoother.calculateEstimatePose3(g.symbol("w", 0)), "beacon")
-
-    def _expected(self) -> FloatArray:
-        """Covariance of the last node without correlations between its parts, shape (15, 15): quick, enough for a gate.
-
-        Biases take part with nothing: over the short time since the last node they move nothing.
-        """
-        x, v, _ = self._keys(self._node)
-        R = np.zeros((6, 6))
-        R[:3, :3] = R[3:, 3:] = self._x[6:15].reshape(3, 3)
-        P = np.zeros((15, 15))
-        P[np.ix_(_POSE_ROWS, _POSE_ROWS)] = R @ self._smoother.marginalCovariance(x) @ R.T
-        P[3:6, 3:6] = self._smoother.marginalCovariance(v)
-        return P
 
     def _joint(self) -> FloatArray:
         """Covariance of the last node with all correlations, shape (15, 15)."""

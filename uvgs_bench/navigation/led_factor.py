@@ -48,8 +48,11 @@ def led_residual(
     return e.reshape(-1), body.reshape(-1, 6), beacon.reshape(-1, 6)
 
 
-def pixel_sigma(lens: Lens, leds_m: FloatArray, sensed: SensedPose) -> float:
-    """The centroid noise per axis that a pose's stated covariance amounts to.
+def pixel_covariance(lens: Lens, leds_m: FloatArray, sensed: SensedPose) -> FloatArray:
+    """Covariance of the LEDs' places in the picture that gives a pose the covariance it states.
+
+    Noise drawn anew in every capture is the same on every axis of every LED; what lens and beacon add moves the LEDs
+    together, as the pose does.
 
     Args:
         lens: The camera's lens.
@@ -57,9 +60,12 @@ def pixel_sigma(lens: Lens, leds_m: FloatArray, sensed: SensedPose) -> float:
         sensed: The pose.
 
     Returns:
-        Deviation, px.
+        Covariance of u, v of each LED in turn, shape (2n, 2n), px^2.
     """
     points = sensed.camera_from_beacon.apply(leds_m)
     _, by_point, _ = lens.project_with_jacobians(points)
     J = np.concatenate([D @ np.hstack((-hat(p), np.eye(3))) for D, p in zip(by_point, points, strict=True)])
-    return float(np.sqrt(np.trace(sensed.covariance @ J.T @ J) / 6.0))
+    noise = sensed.covariance if sensed.noise_covariance is None else sensed.noise_covariance
+    variance_px2 = float(np.trace(noise @ J.T @ J)) / 6.0
+    together: FloatArray = J @ (sensed.covariance - noise) @ J.T
+    return variance_px2 * np.eye(len(J)) + 0.5 * (together + together.T)

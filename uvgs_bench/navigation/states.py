@@ -112,6 +112,8 @@ class SensedPose:
         covariance: Covariance of the left tangent vector (omega, v) in camera axes, shape (6, 6), rad and m.
         delay_ns: How long after its capture it was known, ns.
         led_px: Centres in the order of the beacon's LEDs, shape (n, 2), raw px, NaN if unseen; None when not recorded.
+        noise_covariance: The part of ``covariance`` that is drawn anew in every capture; the rest, of lens and beacon,
+            is the same in every capture. None when that is not known.
     """
 
     t_ns: int
@@ -119,12 +121,13 @@ class SensedPose:
     covariance: FloatArray
     delay_ns: int = 0
     led_px: FloatArray | None = None
+    noise_covariance: FloatArray | None = None
 
     @classmethod
     def of(cls, estimate: PoseEstimate, delay_ns: int = 0) -> SensedPose:
         """All an estimate says about one pose, known a delay after its capture."""
-        covariance = read_only(estimate.total_covariance)
-        return cls(estimate.t_ns, estimate.camera_from_beacon, covariance, delay_ns, estimate.led_px)
+        total, noise = read_only(estimate.total_covariance), read_only(estimate.noise_covariance)
+        return cls(estimate.t_ns, estimate.camera_from_beacon, total, delay_ns, estimate.led_px, noise)
 
     @property
     def led_count(self) -> int:
