@@ -141,6 +141,15 @@ def test_a_person_may_type_and_may_stop_typing(uvgs) -> None:
     assert "ended before the visits did" in remarks
 
 
+def test_what_was_measured_is_shown_even_where_it_cannot_be_written(uvgs, home: Path) -> None:
+    (home / "calib" / "gantries").write_text("a file where the folder should be")
+    words = ("characterise", "--dial", "--axis", "X", "--tests", "homing", "--runs", "2")
+    code, printed, remarks = uvgs(*words, "--json", typed="0.01\n0.03\n")
+    assert code != 0
+    assert json.loads(printed)["axes"][0]["homing_mm"] == pytest.approx(0.014142, abs=1e-5)
+    assert "gantries" in remarks
+
+
 def test_a_board_judges_and_the_bench_uses_it(uvgs, home: Path) -> None:
     """With pictures: the shipped bench has 100, -60, 80 ppm and 0.2, -0.15, 0.1 mrad."""
     board = ("characterise", "--board", "calib/boards/charuco_9x6.toml")

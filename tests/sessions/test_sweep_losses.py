@@ -213,13 +213,20 @@ def test_a_disk_that_is_too_small_for_the_pictures(files: Path, tmp_path: Path) 
 
 
 def test_a_second_ctrl_c_stops_hard(files: Path, tmp_path: Path) -> None:
-    process = start([*given(files), "--out", tmp_path, "--sim-speed", 4])
+    # Braking takes three seconds of bench time, so that the second signal meets it.
+    text = BENCH.read_text().replace("acceleration_mm_s2 = 200.0", "acceleration_mm_s2 = 10.0")
+    for kind in ("cameras", "beacons"):
+        text = text.replace(f'"{kind}/', f'"{ROOT / "calib" / kind}/')
+    (tmp_path / "slow.toml").write_text(text)
+    out = tmp_path / "runs"
+    words = [files / "short.toml", "--bench", tmp_path / "slow.toml", "--camera", files / "camera.yaml"]
+    process = start([*words, "--out", out, "--sim-speed", 4])
 
     def wait_for(what: str, since: str) -> None:
         """Until this stands in the log after the last line with that."""
         deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline and process.poll() is None:
-            logs = list(tmp_path.glob("*/gantry.log"))
+            logs = list(out.glob("*/gantry.log"))
             text = logs[0].read_text() if logs else ""
             if since in text and what in text[text.rindex(since) :]:
                 return
@@ -232,7 +239,7 @@ def test_a_second_ctrl_c_stops_hard(files: Path, tmp_path: Path) -> None:
     os.kill(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=60.0)
     assert process.returncode == 130, stderr
-    (path,) = tmp_path.iterdir()
+    (path,) = out.iterdir()
     run = read_run(path)
     assert run.ended == "interrupted"
     assert "stopped hard at the second interrupt, the position is lost" in run.end_reason

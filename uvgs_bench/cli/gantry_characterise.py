@@ -114,8 +114,11 @@ def characterise(
             judge = replace(judge, board_sigma=1e-6 * board_sigma_ppm)
         axes = setup.bench.nominal_axes
         record = judge_gantry(taken, axes, judge, options, setup.bench.name, utc_now())
-    write_gantry_record(path, record, force=force)
-    _print_record(record, path, as_json=door.as_json)
+    try:
+        write_gantry_record(path, record, force=force)
+    finally:
+        # An hour of measuring is shown even where it cannot be written.
+        _print_record(record, path, as_json=door.as_json)
     if not door.as_json:
         print_path("gantry", path)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from binascii import crc_hqx
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,9 @@ def test_too_few_are_refused() -> None:
 def test_a_damaged_stamp_is_no_stamp() -> None:
     assert read_place(Message("POS", "0|Idle|12345|1,2,3|0|-|-|-|1*0000")) is None
     assert read_place(Message("POS", "garbage")) is None
+    for body, is_whole in (("0|Idle|12345|1,2,3|0|-|-|-|1", True), ("0|Idle|12345|1,2,x|0|-|-|-|1", False)):
+        check = f"{crc_hqx(f'POS:{body}'.encode('ascii'), 0xFFFF):04X}"
+        assert (read_place(Message("POS", f"{body}*{check}")) is not None) == is_whole
 
 
 @pytest.fixture

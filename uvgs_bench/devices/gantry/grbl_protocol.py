@@ -204,8 +204,13 @@ def read_place(message: Message) -> Place | None:
         return None
     activity, _, substate = fields[1].partition(":")
     homed, flags = (field.replace("-", "") for field in fields[6:8])
-    steps = read_only([float(count) for count in fields[3].split(",")])
-    return Place(activity, substate, float(fields[2]), steps, float(fields[4]), homed, flags, int(fields[8]))
+    try:
+        t_us, age_us, boot = (int(fields[i]) for i in (2, 4, 8))
+        steps = read_only([float(int(count)) for count in fields[3].split(",")])
+    except ValueError:
+        # One damaged line in 65536 has the checksum of a whole one.
+        return None
+    return Place(activity, substate, float(t_us), steps, float(age_us), homed, flags, boot)
 
 
 def shown(received: Received) -> str:
