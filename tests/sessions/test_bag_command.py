@@ -295,13 +295,13 @@ def contents(path: Path) -> list[tuple[object, ...]]:
 
 @pytest.mark.parametrize("kind", ["ros1", "db3"])
 def test_converting_loses_nothing(tmp_path, capfd, kind):
-    source = write_bag(tmp_path / "source", kind, healthy(6))
+    source = write_bag(tmp_path / "source", kind, healthy(3))
     expected = contents(source)
     for i, (name, words) in enumerate(TARGETS):
         target = tmp_path / str(i) / name
         assert uvgs("bag", "convert", source, "--out", target, "--json", "--quiet", *words) == 0
         said = json.loads(capfd.readouterr().out)
-        assert (said["messages"], said["topics"]) == (12, {"/cam/camera_info": 6, "/cam/image_raw": 6})
+        assert (said["messages"], said["topics"]) == (6, {"/cam/camera_info": 3, "/cam/image_raw": 3})
         assert said["remarks"] == []
         assert contents(target) == expected
         assert [path.name for path in target.parent.iterdir()] == [name]
@@ -354,19 +354,14 @@ def test_debians_own_tools_read_what_is_converted(tmp_path):
     if not Path("/usr/bin/rosbag").is_file():
         pytest.skip("rosbag of Debian is not installed")
     source = write_bag(tmp_path, "mcap", healthy(4))
-    for words in ((), ("--compression", "bz2")):
-        out = tmp_path / f"b{len(words)}.bag"
-        assert uvgs("bag", "convert", source, "--out", out, "--quiet", *words) == 0
+    out = tmp_path / "b.bag"
+    assert uvgs("bag", "convert", source, "--out", out, "--quiet", "--compression", "bz2") == 0
+    for words, said in ((("info", "--yaml"), "type: sensor_msgs/Image"), (("check",), "")):
         done = subprocess.run(
-            ["/usr/bin/rosbag", "info", "--yaml", str(out)], capture_output=True, text=True, timeout=60, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        assert "messages: 8" in done.stdout
-        assert "type: sensor_msgs/Image" in done.stdout
-        done = subprocess.run(
-            ["/usr/bin/rosbag", "check", str(out)], capture_output=True, text=True, timeout=60, check=False
+            ["/usr/bin/rosbag", *words, str(out)], capture_output=True, text=True, timeout=60, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
+        assert said in done.stdout
 
 
 # --- extract -----------------------------------------------------------------------------------------------------

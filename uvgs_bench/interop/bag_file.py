@@ -14,7 +14,7 @@ from typing import Any
 
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop import bag_recovery as recovery
-from uvgs_bench.interop.bag_framing import BagChannel, Record, full_msgtype, unpack_file, zstd_module
+from uvgs_bench.interop.bag_framing import BagChannel, Record, full_msgtype, needed_types, unpack_file, zstd_module
 from uvgs_bench.interop.mcap_recovery import MCAP_MAGIC, mcap_compression, scan_mcap
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -313,7 +313,8 @@ def _typestore(channels: tuple[BagChannel, ...]) -> Any:
             is_complete = False
     if not is_complete:
         wires = {channel.wire for channel in channels}
-        types = {**get_typestore(Stores.ROS1_NOETIC if wires == {"ros1"} else Stores.ROS2_HUMBLE).fielddefs, **types}
+        standard = get_typestore(Stores.ROS1_NOETIC if wires == {"ros1"} else Stores.ROS2_HUMBLE).fielddefs
+        types = needed_types((channel.msgtype for channel in channels), {**standard, **types})
     store = get_typestore(Stores.EMPTY)
     store.register(types)
     return store

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from uvgs_bench.errors import FormatError
+from uvgs_bench.interop.bag_framing import needed_types
 
 _RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 # The running number of ROS 1 headers: nobody misses it.
@@ -34,7 +35,8 @@ class Migration:
         self._told: set[str] = set()
         self.store: Any = get_typestore(Stores.EMPTY)
         """The type store of the target."""
-        self.store.register({**source.fielddefs, **standard.fielddefs})
+        names = (self.name(name) for name in source.fielddefs)
+        self.store.register(needed_types(names, {**source.fielddefs, **standard.fielddefs}))
 
     @staticmethod
     def name(msgtype: str) -> str:
