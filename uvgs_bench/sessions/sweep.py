@@ -19,6 +19,7 @@ from uvgs_bench.errors import CaptureError, ConfigError, GantryLost, UvgsError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.geometry.se3 import hat, mean_rotation
 from uvgs_bench.sensor.capture import Capture, ImageArray
+from uvgs_bench.sensor.clipping import clipped_led_count
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted, ignore_events
 from uvgs_bench.sessions.interruption import (
@@ -249,6 +250,7 @@ def _take_station(plan: Plan, station: Station, rig: Rig, writer: RunWriter) -> 
             outcome=outcome,
             attempt=writer.attempt_of(station.index),
             exposure_s=capture.exposure_s,
+            clipped_leds=None if outcome.led_px is None else clipped_led_count(capture, outcome.led_px),
         )
         samples.append((sample, capture.image))
     return writer.append_station(samples)

@@ -38,6 +38,7 @@ def observations_from_run(run: Run) -> Observations:
     by_beacon, by_lens = np.full((N, 6, 6), np.nan), np.full((N, 6, 6), np.nan)
     rms_px, exposure_s = np.full(N, np.nan), np.full(N, np.nan)
     velocity = np.zeros((N, 3))
+    led_px = np.full((N, len(run.beacon.leds), 2), np.nan)
     known: dict[bytes, Pose] = {}
     for i, sample in enumerate(samples):
         at = sample.position.tobytes()
@@ -48,6 +49,9 @@ def observations_from_run(run: Run) -> Observations:
             velocity[i] = _carriage_velocity(run.manifest.axes, sample.position, sample.velocity)
         if sample.exposure_s is not None:
             exposure_s[i] = sample.exposure_s
+        seen = sample.outcome.led_px
+        if seen is not None and seen.shape == led_px.shape[1:]:
+            led_px[i] = seen
         if isinstance(sample.outcome, PoseEstimate):
             R_cb[i] = sample.outcome.camera_from_beacon.R
             t_cb[i] = sample.outcome.camera_from_beacon.t_m
@@ -74,6 +78,8 @@ def observations_from_run(run: Run) -> Observations:
         place=np.array([sample.waypoint for sample in samples], dtype=np.int64),
         approach=_approaches(run),
         exposure_s=read_only(exposure_s),
+        is_saturated=np.array([bool(sample.clipped_leds) for sample in samples], dtype=np.bool_),
+        led_px=read_only(led_px),
         rms_px=read_only(rms_px),
         blob_count=np.array([sample.outcome.blob_count for sample in samples], dtype=np.int64),
         beacon_covariance=read_only(by_beacon),

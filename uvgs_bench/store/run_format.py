@@ -24,7 +24,7 @@ _PLAIN_KEYS = (
     *("id", "created_utc", "procedure_name", "mount", "seed", "camera_spec", "gantry_spec", "simulated", "plan_hash"),
     *("station_count", "captures_per_station", "keep", "started_t_ns", "settle_s", "gantry_sigma_m"),
 )
-_HANDOVER_KEYS = ("active", "switched", "held_age_s")
+_OPTIONAL_KEYS = ("active", "switched", "held_age_s", "clipped_leds")
 _TABLE_KEYS = ("hashes", "versions", "gantry_info", "sources")
 
 
@@ -54,7 +54,7 @@ def line_from_sample(sample: Sample) -> str:
     }
     if len(sample.velocity):
         record["velocity"] = sample.velocity.tolist()
-    record |= {key: getattr(sample, key) for key in _HANDOVER_KEYS if getattr(sample, key) not in ("", None)}
+    record |= {key: getattr(sample, key) for key in _OPTIONAL_KEYS if getattr(sample, key) not in ("", None)}
     return json.dumps(record, allow_nan=False, separators=(",", ":"))
 
 
@@ -93,6 +93,7 @@ def sample_from_line(line: str) -> Sample:
             active=str(record.get("active", "")),
             switched=str(record.get("switched", "")),
             held_age_s=_float_or_none(record, "held_age_s"),
+            clipped_leds=None if record.get("clipped_leds") is None else int(record["clipped_leds"]),
         )
     except KeyError as error:
         raise ValueError(f"key {error} is missing") from None
@@ -111,6 +112,7 @@ def _record_from_outcome(outcome: Outcome) -> dict[str, object]:
             "beacon": outcome.beacon,
             "blob_count": outcome.blob_count,
             "stage_s": {name: float(value) for name, value in outcome.stage_s.items()},
+            "led_px": None if outcome.led_px is None else [_numbers(row) for row in outcome.led_px],
         }
     return {
         "status": "ok",
@@ -142,6 +144,7 @@ def _outcome_from_record(record: Mapping[str, Any]) -> Outcome:
             beacon=str(record["beacon"]),
             blob_count=int(record["blob_count"]),
             stage_s=dict(record["stage_s"]),
+            led_px=None if record.get("led_px") is None else read_only(_array(record["led_px"]).reshape(-1, 2)),
         )
     if record["status"] != "ok":
         raise ValueError(f"unknown status {record['status']!r}")

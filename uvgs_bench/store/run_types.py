@@ -48,6 +48,7 @@ class Sample:
         active: Beacon that was to be looked at, by name, where there are several; empty where there is one.
         switched: Why another beacon became active in this capture; empty when none did.
         held_age_s: Age of the last valid pose that stands in for a miss, s; None when nothing is held.
+        clipped_leds: How many LEDs had pixels at full scale; None when nobody looked.
     """
 
     index: int
@@ -67,6 +68,7 @@ class Sample:
     active: str = ""
     switched: str = ""
     held_age_s: float | None = None
+    clipped_leds: int | None = None
 
     def __post_init__(self) -> None:
         for name in ("target", "position", "velocity"):
