@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -16,8 +17,11 @@ import pytest
 from tests.helpers import spots
 from tests.helpers.sim_bench import write_bench
 from uvgs_bench.cli.app import main
+from uvgs_bench.devices.cameras.base import ClosingSource
 from uvgs_bench.devices.sim.camera import SimulatedCamera
+from uvgs_bench.errors import CaptureError
 from uvgs_bench.interop.bags import open_bags
+from uvgs_bench.sensor import Capture
 from uvgs_bench.sessions.recording import IMAGE_TOPIC
 from uvgs_bench.sessions.replay import is_recording, open_recording
 from uvgs_bench.store.beacons import write_beacon
@@ -256,3 +260,45 @@ def test_another_version_is_said(pictures, tmp_path, monkeypatch, capfd):
     assert "the last digits of poses may differ" in said
     assert "now 9.9" in said
     assert "numpy" not in said
+
+
+class Plugged(ClosingSource):
+    """A live camera that repeats a picture for a while and is unplugged once."""
+
+    lost = 0
+
+    def __init__(self) -> None:
+        super().__init__("plugged:", is_live=True, length=None)
+        self._image = np.zeros((960, 1280), dtype=np.uint8)
+
+    @classmethod
+    def open(cls, _spec: object, _clock: object) -> Plugged:
+        return cls()
+
+    def grab(self) -> Capture | None:
+        k = Plugged.taken
+        if k == 14 and not Plugged.lost:
+            Plugged.lost = 1
+            raise CaptureError("unplugged", self.spec)
+        if k == 24:
+            return None
+        # Slow enough for the sensor: which captures are dropped is not what is tested here.
+        time.sleep(0.02)
+        Plugged.taken += 1
+        image = self._image if 8 <= k < 13 else np.full_like(self._image, k)
+        return Capture(image, time.monotonic_ns(), "plugged", 0)
+
+    taken = 0
+
+
+def test_what_a_live_camera_said_is_kept(pictures, tmp_path, monkeypatch):
+    from uvgs_bench.devices.cameras import registry
+
+    monkeypatch.setitem(registry.CAMERAS, "plugged", f"{__name__}:Plugged")
+    Plugged.taken = Plugged.lost = 0
+    a, b, record = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "r.mcap"
+    assert uvgs("plugged:", *one(pictures), "--out", a, "--record", record) == 3
+    assert ",after_gap," in a.read_text()
+    assert ",frozen," in a.read_text()
+    assert uvgs(record, "--out", b, "--quiet") == 3
+    assert a.read_bytes() == b.read_bytes()
