@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -107,3 +110,43 @@ def test_a_sweep_with_the_machine_code_reports_the_counted_steps(
         assert sample.outcome.__class__.__name__ == "PoseEstimate"
     last = np.round(mm_from_m(np.asarray(run.samples[-1].position)) * STEPS_PER_MM)
     assert counted_at_the_end == tuple(int(value) for value in last + np.array(SWITCHES))
+
+
+@pytest.mark.parametrize(
+    "words", [["home"], ["move", "X=-280", "--home", "--speed-mm-min", "600"]], ids=["home", "move"]
+)
+def test_when_the_host_is_killed_the_motors_stop(
+    firmware_builds: FirmwareBuilds, tmp_path: Path, words: list[str]
+) -> None:
+    text = (ROOT / "calib" / "bench.toml").read_text(encoding="utf-8")
+    (tmp_path / "bench.toml").write_text(re.sub(r"min_mm = -\d+\.0", "min_mm = -300.0", text), encoding="utf-8")
+    settings = [
+        *SETTINGS[:-12], "$202=2000", "$25=600",
+        *(f"${base + i}={v}" for base, v in ((100, 80), (110, 3000), (120, 200), (130, 300)) for i in range(3)),
+    ]  # fmt: skip
+    with TerminalBoard([*firmware_builds.command("native"), "--switches", "240,320,400"]) as board:
+        board.set_up(settings)
+        if words == ["home"]:
+            board.turn_by_hand(0, 0, -16000)
+        begun = board.table().motor_steps
+        command = [sys.executable, "-m", "uvgs_bench", "gantry", *words]
+        host = subprocess.Popen(
+            [*command, "--bench", str(tmp_path / "bench.toml"), "--port", f"grbl:{board.port}"],
+            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        deadline = time.monotonic() + 60.0
+        # Some 20 mm into the way to the switch of Z, or away from that of X.
+        while time.monotonic() < deadline and host.poll() is None:
+            now = board.table().motor_steps
+            if (now[2] - begun[2] > 1600) if words == ["home"] else (now[0] < SWITCHES[0] - 1600):
+                break
+            time.sleep(0.02)
+        host.kill()
+        host.wait()
+        killed = board.table().motor_steps
+        time.sleep(2.6)
+        stopped = board.table().motor_steps
+        time.sleep(0.5)
+        assert board.table().motor_steps == stopped
+    # It was moving, and 10 mm/s for at most 2 s, and braking, are less than 21 mm; how late the look was, another 2 mm.
+    assert 0 < max(abs(a - b) for a, b in zip(stopped, killed, strict=True)) < 23 * STEPS_PER_MM

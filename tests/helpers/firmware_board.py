@@ -77,6 +77,10 @@ class BoardProgram:
         self._tell("Q")
         return Table.read(self._answer())
 
+    def turn_by_hand(self, *steps: int) -> None:
+        """Turn the motors behind the firmware's back."""
+        self._tell("M " + " ".join(map(str, steps)))
+
     def close(self) -> None:
         """End the program."""
         assert self._process.stdin is not None
