@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import Clusters, Estimate
+from uvgs_bench.accuracy.error_groups import groups
 from uvgs_bench.accuracy.intervals import moment_intervals, ratio_interval, within_and_between
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.order_intervals import fraction_interval, max_interval, quantile_interval
@@ -131,6 +132,8 @@ class AccuracySummary:
         station_count: Stations with a pose.
         capture_count: Captures with a pose.
         outlier_count: Captures further off than five times the usual distance; they are included in every figure.
+        consistency_by_range: The check of the covariance by range, from near to far: range in words, result; empty
+            when all captures are about equally far.
     """
 
     components: dict[str, ComponentStatistics]
@@ -142,6 +145,7 @@ class AccuracySummary:
     station_count: int
     capture_count: int
     outlier_count: int
+    consistency_by_range: tuple[tuple[str, Consistency], ...] = ()
 
 
 def availability(obs: Observations, rng: np.random.Generator) -> Availability:
@@ -207,7 +211,16 @@ def summarise(table: ErrorTable, rng: np.random.Generator) -> AccuracySummary | 
         station_count=clusters.count,
         capture_count=clusters.captures,
         outlier_count=int((solved.nees > _OUTLIER**2 * _DOF * max(usual, 1e-12)).sum()),
+        consistency_by_range=_by_range(solved, rng),
     )
+
+
+def _by_range(solved: ErrorTable, rng: np.random.Generator) -> tuple[tuple[str, Consistency], ...]:
+    # Draws of its own, so that no other interval depends on how many ranges there are.
+    own = rng.spawn(1)[0]
+    parts = groups(solved, np.full(solved.count, np.nan))
+    ranges = [(words, solved.select(mask)) for grouping, words, mask in parts if grouping == "range"]
+    return tuple((words, _consistency(part, Clusters.of(part.place, own))) for words, part in ranges)
 
 
 def _consistency(solved: ErrorTable, clusters: Clusters) -> Consistency:
