@@ -12,11 +12,12 @@ import pytest
 
 from tests.helpers.gantry_judges import JudgedBench
 from uvgs_bench.accuracy.axis_tests import played
+from uvgs_bench.camera.boards import BoardView
 from uvgs_bench.cli import app as cli
 from uvgs_bench.devices.gantry import Envelope
 from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.errors import ConfigError, EnvelopeError, RegistrationError
-from uvgs_bench.sessions.characterise import Options, plan_visits
+from uvgs_bench.sessions.characterise import Options, average_view, plan_visits
 from uvgs_bench.store.bench import read_bench
 from uvgs_bench.store.gantry_records import read_gantry_record
 
@@ -180,6 +181,18 @@ def test_visits_keep_out_of_what_must_not_be_touched() -> None:
         assert np.all(visit.position <= -0.02)
     with pytest.raises(ConfigError, match="2 targets"):
         Options(targets=1)
+
+
+def test_corners_of_several_pictures_are_averaged_where_all_show_them() -> None:
+    board_m = np.array([[0.01 * i, 0.0, 0.0] for i in range(8)])
+    px = np.array([[100.0 + 10.0 * i, 50.0] for i in range(8)])
+    views = [BoardView("a", px, board_m, 640, 480), BoardView("b", px[1:] + 0.5, board_m[1:], 640, 480)]
+    found = average_view(views)
+    assert found is not None
+    np.testing.assert_array_equal(found.board_m, board_m[1:])
+    np.testing.assert_allclose(found.px, px[1:] + 0.25)
+    # Five corners tell no place.
+    assert average_view([views[0], BoardView("c", px[:5], board_m[:5], 640, 480)]) is None
 
 
 def test_a_dead_band_wider_than_the_way_is_not_told() -> None:

@@ -145,15 +145,11 @@ class BoardCamera:
         self._captures = captures
 
     def read(self, visit: Visit, settled_ns: int) -> BoardView | float | None:
-        """The board in pictures exposed after settling, None when one does not show it. Raises CaptureError."""
-        views: list[BoardView] = []
-        for _ in range(self._captures):
-            capture = self._fresh(settled_ns)
-            found = find_board(capture.image, self._board, capture.source)
-            if isinstance(found, BoardMiss):
-                return None
-            views.append(found)
-        return average_view(views)
+        """The board in pictures exposed after settling, None when half of them do not show it. Raises CaptureError."""
+        captures = [self._fresh(settled_ns) for _ in range(self._captures)]
+        found = [find_board(capture.image, self._board, capture.source) for capture in captures]
+        views = [view for view in found if not isinstance(view, BoardMiss)]
+        return average_view(views) if 2 * len(views) > len(found) else None
 
     def _fresh(self, settled_ns: int) -> Capture:
         for _ in range(_MOST_OLD):
