@@ -115,3 +115,12 @@ def test_what_cannot_be_compared_is_one_clear_line(uvgs, runs: list[Path], tmp_p
         assert found == code
         assert expected in " ".join(said.split())
         assert printed == ""
+
+
+def test_a_run_of_the_first_version_can_still_be_compared(uvgs, runs: list[Path]) -> None:
+    old = Path(__file__).parents[1] / "helpers" / "old_runs" / "schema_1_first"
+    code, printed, said = uvgs(old, runs[0], "--json")
+    assert code == 0, said
+    answer = json.loads(printed)
+    assert [run["against"] for run in answer["runs"]] == [-1, 0]
+    assert answer["runs"][1]["changes"]
