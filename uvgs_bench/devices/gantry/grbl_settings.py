@@ -119,7 +119,9 @@ def _excess(values: Mapping[int, float], axes: Sequence[Axis]) -> tuple[str, ...
         if values.get(120 + i, 0.0) > allowed * _ROUNDED:
             what = f"accelerates with ${120 + i}={values[120 + i]:g} {unit}/s^2"
             found.append(_too_much(axis, what, allowed, 120 + i))
-        if min(values.get(25, 0.0), values.get(110 + i, 0.0)) > feed * _ROUNDED:
+        # An axis without a travel has no switch to go to.
+        is_homed = values.get(130 + i, 0.0) > 0.0
+        if is_homed and min(values.get(25, 0.0), values.get(110 + i, 0.0)) > feed * _ROUNDED:
             found.append(_too_much(axis, f"homes with $25={values[25]:g} {unit}/min", feed, 25))
     return tuple(found)
 
