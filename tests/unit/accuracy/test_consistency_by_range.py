@@ -25,7 +25,9 @@ def test_a_lie_about_far_captures_shows_there_only() -> None:
     assert summary is not None
     found = summary.consistency_by_range
     assert len(found) >= 2
-    near, distant = found[0][1], found[-1][1]
+    # The last range holds a few places only, too few for a word.
+    known = [part for _, part in found if part.mean_nees_over_6.station_count >= 20]
+    near, distant = known[0], known[-1]
     assert near.verdict != "inconsistent"
     assert distant.verdict == "inconsistent"
     assert distant.mean_nees_over_6.value > 3.0
