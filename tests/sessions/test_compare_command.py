@@ -124,3 +124,19 @@ def test_a_run_of_the_first_version_can_still_be_compared(uvgs, runs: list[Path]
     answer = json.loads(printed)
     assert [run["against"] for run in answer["runs"]] == [-1, 0]
     assert answer["runs"][1]["changes"]
+
+
+def test_repeated_runs_show_repeatability_and_reproducibility(uvgs, runs: list[Path]) -> None:
+    answer = json.loads(uvgs(*runs[:3], "--json")[1])["precision_mm"]
+    assert list(answer) == [
+        "repeatability_sd", "between_runs_sd", "reproducibility_sd", "repeatability_limit", "reproducibility_limit",
+    ]  # fmt: skip
+    # The same captures three times: nothing differs between runs, and captures of a place as one run says.
+    assert answer["between_runs_sd"]["value"] == 0.0
+    r = answer["repeatability_sd"]
+    assert 0.0 < r["low"] < r["value"] < r["high"]
+    assert answer["repeatability_limit"]["value"] == pytest.approx(2.8 * r["value"])
+    printed = uvgs(*runs[:3])[1]
+    assert "reproducibility limit" in printed
+    # Two runs have no upper end, and say so.
+    assert "only 2 runs" in uvgs(*runs[:2])[1]

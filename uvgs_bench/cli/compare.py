@@ -64,6 +64,7 @@ def compare(
                 "headline": document.headline,
                 "runs": [_run_data(compared) for compared in comparison.runs],
                 "trends": [_plain(trend) for trend in comparison.trends],
+                "precision_mm": _precision_mm(comparison),
                 "files": {name: str(path) for name, path in paths.items()},
             }
         )
@@ -83,6 +84,24 @@ def _plain(value: Any) -> dict[str, Any]:
     from dataclasses import asdict
 
     return asdict(value)
+
+
+def _precision_mm(comparison: Comparison) -> dict[str, Any] | None:
+    """Standard deviations per axis and limits after ISO 5725 with their intervals, mm."""
+    from uvgs_bench.units import mm_from_m
+
+    found = comparison.precision
+    if found is None:
+        return None
+    r, R = found.limits
+    named = {
+        "repeatability_sd": found.within,
+        "between_runs_sd": found.between,
+        "reproducibility_sd": found.total,
+        "repeatability_limit": r,
+        "reproducibility_limit": R,
+    }
+    return {key: _plain(estimate.scaled(mm_from_m(1.0))) for key, estimate in named.items()}
 
 
 def _run_data(compared: Any) -> dict[str, Any]:
@@ -115,4 +134,7 @@ def _print_changes(comparison: Comparison) -> None:
         for change in compared.changes:
             table.add_row(change_words(change), change.word, change.note or effect_words(change))
         out.print(table)
+    for key, e in (_precision_mm(comparison) or {}).items():
+        words = f"{key.replace('_', ' ')} {e['value']:.3f} mm ({e['low']:.3f} to {e['high']:.3f})"
+        out.print(words + (f", {e['note']}" if e["note"] else ""), soft_wrap=True)
     out.print("Intervals are 95 % each; a verdict is false in at most 5 % of such comparisons, all figures together.")

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from uvgs_bench.accuracy.clusters import Clusters
 from uvgs_bench.accuracy.comparison import Change, compare_tables, judged
+from uvgs_bench.accuracy.iso_figures import Precision, precision
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.errors import ConfigError, RunError
 from uvgs_bench.store.judging import judge_run
@@ -73,12 +75,15 @@ class Comparison:
         baseline: What each is compared with.
         allowed: Worsening that is tolerated, as a fraction.
         trends: One per figure, when there are enough runs on different days.
+        precision: Repeatability within and reproducibility between the runs of the same places, position per axis, each
+            run about its own registration; None when the runs are not of the same places.
     """
 
     runs: tuple[ComparedRun, ...]
     baseline: Baseline
     allowed: float
     trends: tuple[Trend, ...]
+    precision: Precision | None = None
 
     def has(self, word: str) -> bool:
         """Whether any change got this word."""
@@ -135,7 +140,25 @@ def compare_runs(
     for i, (against, is_paired) in enumerate(pairs, start=1):
         setup = _setup_differences(ordered[against], ordered[i])
         compared.append(ComparedRun(ordered[i], judgements[i], against, setup, named[i - 1], is_paired))
-    return Comparison(tuple(compared), baseline, allowed, _trends(ordered, judgements))
+    precise = _precision(ordered, judgements, rng)
+    return Comparison(tuple(compared), baseline, allowed, _trends(ordered, judgements), precise)
+
+
+def _precision(runs: Sequence[Run], judgements: Sequence[Judgement], rng: np.random.Generator) -> Precision | None:
+    """ISO 5725 over the runs, at the places that all of them have in common."""
+    if not all(_have_same_places(runs[0], run) for run in runs[1:]):
+        return None
+    tables = [j.table.select(j.table.is_solved) for j in judgements if j.table is not None]
+    common = set(tables[0].place.tolist())
+    for table in tables[1:]:
+        common &= set(table.place.tolist())
+    if not common:
+        return None
+    kept = [table.select(np.isin(table.place, sorted(common))) for table in tables]
+    errors = np.concatenate([table.translation_error_m for table in kept])
+    place = np.concatenate([table.place for table in kept])
+    of_run = np.repeat(np.arange(len(kept)), [table.count for table in kept])
+    return precision(errors, Clusters.of(place, rng), of_run)
 
 
 def _have_same_places(first: Run, second: Run) -> bool:
