@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.errors import ConfigError, RunError
-from uvgs_bench.geometry import FloatArray, read_only
+from uvgs_bench.geometry import read_only
 from uvgs_bench.navigation.ar_swap import ArSwap, AstroLocSettings
 from uvgs_bench.navigation.error_state_filter import (
     POSE_ROWS,
@@ -20,41 +20,12 @@ from uvgs_bench.navigation.error_state_filter import (
     UpdateRecord,
     start_state,
 )
+from uvgs_bench.navigation.fusion_data import BOTH, METHODS, FusionInput, FusionResult, Method
 from uvgs_bench.navigation.imu import fit_static_bias
 from uvgs_bench.navigation.states import NavigationState, PoseMeasurement
-from uvgs_bench.sessions.fusion_input import FusionInput
 from uvgs_bench.units import NS_PER_S, NS_PER_US, ns_from_s
 
-Method = Literal["filter", "graph", "ar_swap"]
-METHODS: tuple[Method, ...] = ("filter", "graph", "ar_swap")
-
-BOTH = ("uvgs", "native")
 _OUTPUT_HZ = 20.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FusionResult:
-    """What a method said.
-
-    Args:
-        method: The method.
-        sources: Whose poses it got.
-        states: What it knew at evenly spread instants, without looking ahead.
-        updates: What became of each measured pose.
-        update_us: Processor time of each update by a measured pose, us.
-        gaps_s: Pauses of the inertial unit: when they began (ns) and how long they were (s).
-        lost_ns: Instants at which it had nothing to say.
-        is_smoothed: Whether the states look ahead after all.
-    """
-
-    method: Method
-    sources: tuple[str, ...]
-    states: tuple[NavigationState, ...]
-    updates: tuple[UpdateRecord, ...]
-    update_us: FloatArray
-    gaps_s: tuple[tuple[int, float], ...] = ()
-    lost_ns: tuple[int, ...] = ()
-    is_smoothed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ import numpy as np
 from uvgs_bench.geometry import read_only
 from uvgs_bench.navigation.error_state_filter import UpdateRecord
 from uvgs_bench.navigation.factor_graph import FixedLagGraph
+from uvgs_bench.navigation.fusion_data import FusionInput, FusionResult
 from uvgs_bench.navigation.gtsam_bridge import GraphConfig, load_gtsam
 from uvgs_bench.navigation.states import NavigationState
-from uvgs_bench.sessions.fuse import FusionOptions, FusionResult, filter_config, first_state, in_order, output_instants
-from uvgs_bench.sessions.fusion_input import FusionInput
+from uvgs_bench.sessions.fuse import FusionOptions, filter_config, first_state, in_order, output_instants
 from uvgs_bench.units import NS_PER_US
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.errors import ConfigError
+from uvgs_bench.navigation.fusion_data import BOTH, METHODS, FalsePoses, FusionInput, FusionResult, with_false_poses
+from uvgs_bench.navigation.fusion_score import PauseScore, nees_band, score, score_raw
 from uvgs_bench.sessions.events import EventSink
 from uvgs_bench.sessions.figures_table import Figure
-from uvgs_bench.sessions.fuse import BOTH, FusionResult, fuse
-from uvgs_bench.sessions.fusion_input import FalsePoses, FusionInput, with_false_poses
-from uvgs_bench.sessions.fusion_score import PauseScore, nees_band, score, score_raw
+from uvgs_bench.sessions.fuse import fuse
 from uvgs_bench.sessions.simulate_mission import mission, simulate_mission
 from uvgs_bench.units import deg_from_rad, mm_from_m, percent_from_fraction, s_from_ns
 
@@ -80,7 +80,7 @@ def _square(source: FusionInput, fused: FusionResult, graph: FusionResult | None
 def _false(source: FusionInput, seed: int, with_graph: bool) -> list[Figure]:
     spoilt, false_ns = with_false_poses(source, FalsePoses(_FALSE_SHARE, _FALSE_SIZE_M, seed))
     rows = []
-    for method in ("filter", "graph", "ar_swap"):
+    for method in METHODS:
         if method == "graph" and not with_graph:
             continue
         clean = score(source, fuse(source, method)).position_rms_m

@@ -14,11 +14,11 @@ from uvgs_bench.devices.sim.mission_scene import MISSIONS, Mission, MissionCamer
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import ConfigError
 from uvgs_bench.geometry import read_only
+from uvgs_bench.navigation.fusion_data import FusionInput
 from uvgs_bench.navigation.states import PoseMeasurement, SensedPose, place_from_tangent
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.sessions.events import EventSink, StageAdvanced, StageFinished, StageStarted
-from uvgs_bench.sessions.fusion_input import FusionInput
 from uvgs_bench.store.beacons import read_beacon
 from uvgs_bench.store.calibrations import read_calibration
 from uvgs_bench.store.workspace import examples_folder

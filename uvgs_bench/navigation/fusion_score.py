@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.geometry.se3 import so3_log
+from uvgs_bench.navigation.fusion_data import FusionInput, FusionResult
 from uvgs_bench.navigation.states import NavigationState
-from uvgs_bench.sessions.fuse import FusionResult
-from uvgs_bench.sessions.fusion_input import FusionInput
 from uvgs_bench.units import s_from_ns
 
 # A pause of the sensor is longer than this and than three of its usual steps, s.

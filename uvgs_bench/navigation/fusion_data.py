@@ -1,17 +1,25 @@
-"""What fusion works on: readings of an inertial unit, poses of the sensor, other poses, the truth."""
+"""What fusion works on (readings of an inertial unit, poses, the truth) and what a method said."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.geometry import FloatArray, Pose, read_only
+from uvgs_bench.navigation.error_state_filter import UpdateRecord
 from uvgs_bench.navigation.imu import STANDARD_GRAVITY_MPS2, ImuNoise, ImuSamples
 from uvgs_bench.navigation.rigid import RigidState
-from uvgs_bench.navigation.states import PoseMeasurement, SensedPose, body_measurement
+from uvgs_bench.navigation.states import NavigationState, PoseMeasurement, SensedPose, body_measurement
+
+Method = Literal["filter", "graph", "ar_swap"]
+METHODS: tuple[Method, ...] = ("filter", "graph", "ar_swap")
+
+BOTH = ("uvgs", "native")
+"""Whose poses there are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,3 +130,28 @@ def with_false_poses(source: FusionInput, false: FalsePoses) -> tuple[FusionInpu
         spoilt.append(pose)
     words = f"{100.0 * false.share:g} % of the sensor's poses were made false by {false.size_m:g} m"
     return replace(source, sensed=tuple(spoilt), remarks=(*source.remarks, words)), frozenset(instants)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusionResult:
+    """What a method said.
+
+    Args:
+        method: The method.
+        sources: Whose poses it got.
+        states: What it knew at evenly spread instants, without looking ahead.
+        updates: What became of each measured pose.
+        update_us: Processor time of each update by a measured pose, us.
+        gaps_s: Pauses of the inertial unit: when they began (ns) and how long they were (s).
+        lost_ns: Instants at which it had nothing to say.
+        is_smoothed: Whether the states look ahead after all.
+    """
+
+    method: Method
+    sources: tuple[str, ...]
+    states: tuple[NavigationState, ...]
+    updates: tuple[UpdateRecord, ...]
+    update_us: FloatArray
+    gaps_s: tuple[tuple[int, float], ...] = ()
+    lost_ns: tuple[int, ...] = ()
+    is_smoothed: bool = False
