@@ -20,6 +20,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from glob import glob, has_magic
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -274,8 +275,7 @@ def _outputs(source: str, plan: BatchPlan, taken: set[str]) -> tuple[str, ...]:
     target = Path(_SCHEME.sub("", source, count=1).partition("?")[0].rstrip("/") or "source")
     stem = _word(target.stem)
     parent = _word(target.absolute().parent.name)
-    names = (stem, f"{parent}_{stem}", *(f"{parent}_{stem}_{k}" for k in range(2, 1_000_000)))
-    for name in names:
+    for name in chain((stem, f"{parent}_{stem}"), (f"{parent}_{stem}_{k}" for k in count(2))):
         outputs = tuple(path.replace(NAME, name) for _, path in plan.outputs)
         if not taken & set(outputs):
             return outputs
