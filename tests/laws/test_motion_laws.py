@@ -78,7 +78,8 @@ def test_a_motion_handed_over_keeps_speeds_and_its_end(start, end, entry, leavin
     length = float(np.linalg.norm(end - start))
     motion = through(start, end, 2.0, entry, leaving, speed, acceleration)
     np.testing.assert_array_equal(motion.position(motion.end_s), end)
-    if length == 0.0:
+    # A picometre at these speeds takes less time than is left off at its end.
+    if length < 1e-9:
         return
     times = np.linspace(2.0, motion.end_s - 1e-12, 101)
     speeds = np.array([motion.along_path(t)[1] for t in times])
