@@ -97,6 +97,12 @@ class CaptureError(UvgsError):
         self.source = source
 
 
+class CameraLost(CaptureError):
+    """A live camera delivered and stopped: unplugged, out of reach, or its driver died."""
+
+    exit_code = ExitCode.HARDWARE
+
+
 class GantryError(UvgsError):
     """The gantry or the line to it failed.
 

@@ -28,6 +28,7 @@ COMMANDS: dict[str, str] = {
     "beacon": "uvgs_bench.cli.beacon:app",
     "run": "uvgs_bench.cli.run:run",
     "bag": "uvgs_bench.cli.bag:app",
+    "node": "uvgs_bench.cli.node:node",
     "tune": "uvgs_bench.cli.tune:tune",
     "gantry": "uvgs_bench.cli.gantry:app",
     "gantry-sweep": "uvgs_bench.cli.gantry_sweep:gantry_sweep",
@@ -37,8 +38,12 @@ COMMANDS: dict[str, str] = {
     "benchmark": "uvgs_bench.cli.benchmark:app",
     "study": "uvgs_bench.cli.study:study",
     "plan": "uvgs_bench.cli.plan:plan",
+    "follow": "uvgs_bench.cli.follow:follow",
     "doctor": "uvgs_bench.cli.doctor:doctor",
 }
+
+# roslaunch and ros2 launch add arguments of their own.
+CONTEXTS: dict[str, dict[str, bool]] = {"node": {"allow_extra_args": True, "ignore_unknown_options": True}}
 
 
 def build_app() -> typer.Typer:
@@ -67,7 +72,7 @@ def build_app() -> typer.Typer:
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name)
         else:
-            app.command(name)(command)
+            app.command(name, context_settings=CONTEXTS.get(name))(command)
     return app
 
 

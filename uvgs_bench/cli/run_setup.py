@@ -38,12 +38,13 @@ def recorded_run(source: str) -> Run | None:
         ConfigError: It is a folder without a run.
         RunError: There is no such folder.
     """
+    from uvgs_bench.devices.cameras.registry import is_bag_path
     from uvgs_bench.store.run import is_run, read_run
 
     folder = Path(source)
     if is_run(folder):
         return read_run(folder)
-    if ":" not in source:
+    if ":" not in source and not is_bag_path(source):
         if folder.is_dir():
             raise ConfigError(f"that folder is no run; for pictures write images:{source}", source)
         raise RunError(f"there is no such run folder; for pictures write images:{source}", source)
@@ -56,8 +57,11 @@ def read_setup(
     beacon: list[Path],
     config: Path | None,
     again: RecordSetup | None = None,
+    opened: OpenedSource | None = None,
 ) -> tuple[Calibration, list[Beacon], UvgsConfig]:
     """Read what the captures are solved with; a run folder and a record have their own unless told otherwise.
+
+    Without a calibration the lens is taken that the source itself carries: a bag's or a topic's CameraInfo.
 
     Args:
         recorded: The run, or None.
@@ -65,6 +69,7 @@ def read_setup(
         beacon: Beacon files.
         config: Sensor parameters, or None.
         again: Setup of the record, or None.
+        opened: The open source, or None.
 
     Returns:
         Calibration, beacons and parameters.
@@ -79,10 +84,14 @@ def read_setup(
     from uvgs_bench.store.documents import read_document
     from uvgs_bench.store.run_writer import SETUP, SETUP_SENSOR
 
-    for option, is_given in (("--camera", camera is not None), ("--beacon", bool(beacon))):
-        if recorded is None and again is None and not is_given:
-            raise ConfigError("is needed unless the source is a run folder or a record", option)
+    has_own = recorded is not None or again is not None
+    if not beacon and not has_own:
+        raise ConfigError("is needed unless the source is a run folder or a record", "--beacon")
     calibration = read_calibration(camera) if camera is not None else None
+    if calibration is None and not has_own:
+        calibration = None if opened is None or opened.camera_info is None else opened.camera_info()
+        if calibration is None:
+            raise ConfigError("is needed unless the source is a run folder, a record, or says its lens", "--camera")
     beacons = [read_beacon(path) for path in beacon]
     if recorded is not None:
         calibration, beacons = calibration or recorded.calibration, beacons or [recorded.beacon]
@@ -163,6 +172,7 @@ class OpenedSource:
         live: The queue of a live camera, or None.
         flags_of: What it has to say about a capture, or None.
         is_live: Whether the captures are taken now, or were when they were recorded.
+        camera_info: Asks the source for the lens it carries, or None when it carries none.
     """
 
     captures: Iterable[Capture]
@@ -171,6 +181,7 @@ class OpenedSource:
     live: LiveQueue | None = None
     flags_of: Callable[[Capture], tuple[str, ...]] | None = None
     is_live: bool = False
+    camera_info: Callable[[], Calibration | None] | None = None
 
 
 def open_captures(
@@ -197,17 +208,27 @@ def open_captures(
 
         return OpenedSource(read_run_captures(recorded), len(run_captures(recorded)))
     from uvgs_bench.devices.cameras.registry import open_camera
-    from uvgs_bench.devices.cameras.source import ExposureControl
+    from uvgs_bench.devices.cameras.source import CarriesCamera, ExposureControl
+    from uvgs_bench.sessions.events import Remark
+    from uvgs_bench.sessions.live import queued
+    from uvgs_bench.sessions.remarks import told_captures
 
     opened = open_camera(source)
-    if opened.is_live:
-        from uvgs_bench.sessions.live import queued
+    carrier: object = opened
 
+    def camera_info() -> Calibration | None:
+        found = carrier.camera_info() if isinstance(carrier, CarriesCamera) else None
+        if found is not None:
+            sink(Remark("info", f"the lens is that of {found.camera_name}; how sure it is, is not known"))
+        return found
+
+    if opened.is_live:
         live = stack.enter_context(queued(opened, sink, patience_s=reconnect_s))
-        return OpenedSource(live, None, live.exposure, live, live.flags_of, is_live=True)
+        return OpenedSource(live, None, live.exposure, live, live.flags_of, is_live=True, camera_info=camera_info)
     stack.enter_context(opened)
     control: object = opened
-    return OpenedSource(opened, opened.length, control if isinstance(control, ExposureControl) else None)
+    exposure = control if isinstance(control, ExposureControl) else None
+    return OpenedSource(told_captures(opened, sink), opened.length, exposure, camera_info=camera_info)
 
 
 def exposure_loop(

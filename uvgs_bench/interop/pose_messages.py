@@ -89,16 +89,18 @@ class MessageMaker:
     Args:
         store: The type store.
         is_ros1: Whether it is of ROS 1.
+        camera_frame: Name of the camera's frame.
     """
 
-    def __init__(self, store: Any, *, is_ros1: bool) -> None:
+    def __init__(self, store: Any, *, is_ros1: bool, camera_frame: str = CAMERA_FRAME) -> None:
         self.types: Any = store.types
+        self._frame = camera_frame
         self._seq = [0] if is_ros1 else []
 
-    def header(self, t_ns: int, frame_id: str = CAMERA_FRAME) -> Any:
-        """A header."""
+    def header(self, t_ns: int, frame_id: str | None = None) -> Any:
+        """A header; in the camera's frame unless told otherwise."""
         stamp = self.types["builtin_interfaces/msg/Time"](*divmod(t_ns, NS_PER_S))
-        return self.types["std_msgs/msg/Header"](*self._seq, stamp, frame_id)
+        return self.types["std_msgs/msg/Header"](*self._seq, stamp, self._frame if frame_id is None else frame_id)
 
     def pose(self, estimate: PoseEstimate) -> Any:
         """A ``PoseWithCovarianceStamped``."""

@@ -114,10 +114,7 @@ def benchmark_live(
         rules = StreamRules(track=track)
         for answered in solve_source(queue, {name: uvgs}, ignore_events, rules, is_live=True):
             outlet.put(answered)
-            tally.add_latency(s_from_ns(time.monotonic_ns() - answered.capture.t_ns))
-            outcome, note = answered.lines[name]
-            tally.add(name, outcome, note.flags)
-            tally.captures += 1
+            tally.take(answered.lines, queue.age_s(answered.capture))
             if tally.captures % round(rate_hz) == 0:
                 sink(StageAdvanced(STAGE, tally.captures))
         dropped = queue.dropped

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import floor, log10
 
+from uvgs_bench.interop.trajectories import LineNote
 from uvgs_bench.sensor.handover import Held
 from uvgs_bench.sensor.outcome import Outcome, PoseEstimate
 
@@ -123,9 +125,19 @@ class Tally:
         if told.stage_s:
             self._times(ALL_STAGES).add(sum(told.stage_s.values()))
 
-    def add_latency(self, duration_s: float) -> None:
-        """Count how long after its instant a live capture was answered, s."""
-        self._times(LATENCY).add(duration_s)
+    def take(self, lines: Mapping[str, tuple[Outcome | Held, LineNote]], latency_s: float | None = None) -> None:
+        """Count a capture.
+
+        Args:
+            lines: Its outcome and note by beacon.
+            latency_s: How long after its instant it was answered, s; None for a recording.
+        """
+        if latency_s is not None:
+            self._times(LATENCY).add(latency_s)
+        for name, (outcome, note) in lines.items():
+            self.add(name, outcome, note.flags, is_active=note.is_active)
+        self.captures += 1
+        self.exposure_changes += any(note.next_exposure_s for _, note in lines.values())
 
     def median_stage_s(self) -> dict[str, float]:
         """Median duration of each stage, s, over the captures that reached it."""

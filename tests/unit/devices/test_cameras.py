@@ -176,7 +176,7 @@ def recorded_specs(tmp_path: Path) -> dict[str, str]:
 
 
 # What needs a plug has tests of its own.
-LIVE = {"uvc", "rtsp", "http", "https", "aravis", "realsense", "sim-board"}
+LIVE = {"uvc", "rtsp", "http", "https", "aravis", "realsense", "ros1", "ros2", "sim-board"}
 
 
 @pytest.mark.parametrize("scheme", sorted(set(CAMERAS) - LIVE))

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Literal, Self
 
-from uvgs_bench.devices.cameras.source import CameraSource, ExposureControl, FreeRunning
+from uvgs_bench.devices.cameras.source import CameraSource, ExposureControl, FreeRunning, OwnClock
 from uvgs_bench.devices.clock import Clock, RealClock
-from uvgs_bench.errors import CaptureError
+from uvgs_bench.errors import CameraLost, CaptureError
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.units import ns_from_s, s_from_ns
 
@@ -93,6 +93,11 @@ class LiveQueue:
         """The exposure of the camera that is open now, or None when it cannot be set."""
         return _QueueExposure(self) if isinstance(self._source, ExposureControl) else None
 
+    def age_s(self, capture: Capture) -> float:
+        """How long ago a capture was taken, s, by the clock that stamped it."""
+        clock = self._source if isinstance(self._source, OwnClock) else self._clock
+        return s_from_ns(clock.now_ns() - capture.t_ns)
+
     def flags_of(self, capture: Capture) -> tuple[str, ...]:
         """Flags of a capture that came from here."""
         return (AFTER_GAP,) if capture.index == self._after_gap else ()
@@ -101,7 +106,7 @@ class LiveQueue:
         """Captures until the camera ends.
 
         Raises:
-            CaptureError: The camera is lost and did not come back in time.
+            CameraLost: The camera is lost and did not come back in time.
         """
         if not self._thread.is_alive() and not self._is_ended:
             self._thread.start()
@@ -161,7 +166,7 @@ class LiveQueue:
                 if self._stop.is_set():
                     return None
                 if self._patience_s <= 0.0:
-                    raise
+                    raise CameraLost(str(error)) from None
                 self._wait_for_return(error)
 
     def _wait_for_return(self, loss: CaptureError) -> None:
@@ -177,7 +182,7 @@ class LiveQueue:
                     self._source.set_exposure_s(self.asked_exposure_s)
             except CaptureError as error:
                 if self._clock.now_ns() > until_ns:
-                    raise CaptureError(
+                    raise CameraLost(
                         f"lost, and not back within {self._patience_s:g} s: {error}", self._source.spec
                     ) from None
                 continue
@@ -187,7 +192,7 @@ class LiveQueue:
                 self._after_gap = self._count
             self._say(CameraNews("returned", f"{self._source.spec}: back after a gap of {gap_s:.1f} s", gap_s))
             return
-        raise loss
+        raise CameraLost(str(loss))
 
     def _put(self, capture: Capture) -> None:
         with self._changed:

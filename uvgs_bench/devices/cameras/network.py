@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,9 +27,7 @@ _MOST_BUFFERED = 120
 # Datagrams that get lost leave grey bars in pictures; what waits in a buffer is old.
 _ENVIRONMENT = {
     "OPENCV_FFMPEG_CAPTURE_OPTIONS": "rtsp_transport;tcp|fflags;nobuffer",
-    # What is wrong is said in our words.
     "OPENCV_FFMPEG_LOGLEVEL": "-8",
-    "OPENCV_LOG_LEVEL": "SILENT",
 }
 
 
@@ -56,12 +56,11 @@ class NetworkStream(ClosingSource):
         name = without_password(spec.text)
         if not spec.target.startswith(f"{spec.scheme}://"):
             raise CaptureError(f"expected an address like {spec.scheme}://HOST/STREAM", name)
-        for key, value in _ENVIRONMENT.items():
-            os.environ.setdefault(key, value)
         import cv2
 
         limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(_OPEN_MS), cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(_READ_MS))
-        video = cv2.VideoCapture(spec.target, cv2.CAP_FFMPEG, limits)
+        with _quiet_environment():
+            video = cv2.VideoCapture(spec.target, cv2.CAP_FFMPEG, limits)
         if not video.isOpened():
             video.release()
             raise CaptureError("nothing answers there, or it is no video that can be decoded", name)
@@ -106,6 +105,23 @@ class NetworkStream(ClosingSource):
             raise CaptureError("the stream is closed", self.spec)
         if not self._video.grab():
             raise CaptureError("the stream ended, or nothing came for some seconds", self.spec)
+
+
+@contextmanager
+def _quiet_environment() -> Iterator[None]:
+    """What OpenCV asks the environment about streams; files are not opened with it. What fails is said in our words."""
+    import cv2
+
+    added = {key: value for key, value in _ENVIRONMENT.items() if key not in os.environ}
+    os.environ.update(added)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+        for key in added:
+            del os.environ[key]
 
 
 def without_password(address: str) -> str:

@@ -23,6 +23,8 @@ CAMERAS: dict[str, str] = {
     "https": "uvgs_bench.devices.cameras.network:NetworkStream",
     "aravis": "uvgs_bench.devices.cameras.aravis:AravisCamera",
     "realsense": "uvgs_bench.devices.cameras.realsense:RealSenseCamera",
+    "ros1": "uvgs_bench.devices.cameras.ros_topic:RosTopic",
+    "ros2": "uvgs_bench.devices.cameras.ros_topic:RosTopic",
     "sim": "uvgs_bench.devices.sim.camera:SimulatedCamera",
     "sim-board": "uvgs_bench.devices.sim.waved_board:WavedBoard",
 }

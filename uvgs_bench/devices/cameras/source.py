@@ -91,6 +91,15 @@ class FreeRunning(Protocol):
         ...
 
 
+@runtime_checkable
+class OwnClock(Protocol):
+    """What a live camera has besides when its captures are stamped by a clock other than the bench's."""
+
+    def now_ns(self) -> int:
+        """The time of that clock, ns."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
     """A property of a camera that was asked for, and what the camera says it is.
