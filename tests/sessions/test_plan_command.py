@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,23 @@ import pytest
 
 import uvgs_bench.cli.app as cli
 from tests.helpers.planted_bench import planted_observations
+from tests.helpers.synthetic_run import synthetic_run, write_run
 from uvgs_bench.accuracy import fit_registration
+from uvgs_bench.accuracy.blind_bench import BlindBench, observe, standard_stations
 from uvgs_bench.camera import Calibration, Lens
+from uvgs_bench.devices.bench import Bench
 from uvgs_bench.devices.sim.truth import SimulatedTruth
 from uvgs_bench.errors import ConfigError
+from uvgs_bench.geometry import Pose
+from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.sessions import plan_advice
 from uvgs_bench.sessions.planning import plan
 from uvgs_bench.sessions.procedure import read_procedure
+from uvgs_bench.store.beacons import read_beacon
 from uvgs_bench.store.bench import read_bench
 from uvgs_bench.store.calibrations import write_calibration
 from uvgs_bench.store.registrations import read_registered_poses, write_registration
+from uvgs_bench.store.run import Run, Sample
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -130,3 +138,65 @@ def test_poses_of_a_registration_come_back(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("quaternion_xyzw", "quaternion"))
     with pytest.raises(ConfigError, match=r"left\.quaternion_xyzw: this key is required"):
         read_registered_poses(path, found.mount)
+
+
+def test_a_first_run_teaches_noise_and_registration(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(3)
+    setup = read_bench(bench)
+    assert setup.simulated is not None
+    camera = SimulatedTruth().camera
+    lens = Lens(camera.model, camera.width_px, camera.height_px, np.array(camera.parameters_px))
+    run = write_run(blind_run(setup, lens, rng, (0.12, 0.05)), tmp_path / "first")
+    assert left_with(["--half-width", "2", "--from", str(run), "--json", "--quiet"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    # 40 captures about 20 places know the first to a tenth, 20 places the second to a quarter.
+    np.testing.assert_allclose(said["centroid_sigma_px"], 0.12, rtol=0.3)
+    np.testing.assert_allclose(said["place_sigma_px"], 0.05, rtol=0.75)
+    assert said["noise_source"].startswith("learned from 20 stations of ")
+    # What is given is taken.
+    assert left_with(["--half-width", "2", "--from", str(run), "--noise-px", "0.07", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["centroid_sigma_px"] == 0.07
+
+
+def test_a_run_of_the_other_mount_teaches_nothing(bench: Path, tmp_path: Path) -> None:
+    other = synthetic_run()
+    other = replace(other, manifest=replace(other.manifest, mount="camera_on_carriage"))
+    path = write_run(other, tmp_path / "other")
+    assert left_with(["--half-width", "2", "--from", str(path), "--quiet"]) == 4
+
+
+def blind_run(setup: Bench, lens: Lens, rng: np.random.Generator, sigmas_px: tuple[float, float]) -> Run:
+    """A run as a bench with known noise gives it, three captures at each of twenty places."""
+    beacon = read_beacon(Path(setup.beacon_file))
+    assert setup.simulated is not None
+    poses = (
+        setup.simulated.camera_from_gantry.pose("camera", "gantry"),
+        setup.simulated.carriage_from_beacon.pose("carriage", "beacon"),
+    )
+    axes = setup.envelope.axes
+    middle = np.array([0.5 * (axis.lower + axis.upper) for axis in axes])
+    stations = standard_stations(rng, places=20, revisits=0, moving=0, shots=3, half_m=(0.08, 0.08, 0.08))
+    moved = replace(stations, position_m=stations.position_m + middle)
+    truth = BlindBench(
+        lens, beacon.positions_m, poses[0], poses[1], centroid_sigma_px=sigmas_px[0], place_sigma_px=sigmas_px[1]
+    )
+    obs = observe(truth, moved, rng)
+    assert obs.is_solved.all()
+    samples = []
+    for i in range(obs.count):
+        pose = PoseEstimate(
+            Pose(obs.R_cb[i], obs.t_cb_m[i], "camera", "beacon"), obs.covariance[i], int(obs.t_ns[i]), beacon.name,
+            obs.led_px[i], np.zeros((4, 2)), 0.1, np.inf, 4,
+        )  # fmt: skip
+        station = int(obs.station[i])
+        samples.append(
+            Sample(
+                i, station, int(obs.place[i]), 0, i % 3, obs.role[i], int(obs.t_ns[i]), obs.axis_position[i],
+                obs.axis_position[i], pose,
+            )
+        )  # fmt: skip
+    run = synthetic_run()
+    manifest = replace(run.manifest, axes=axes, mount=setup.mount, station_count=20, gantry_sigma_m=1e-5)
+    return replace(run, manifest=manifest, samples=tuple(samples), beacon=beacon, calibration=Calibration(lens, "x"))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.bench_model import gantry_covariance, pose_residuals
 from uvgs_bench.accuracy.cause_signatures import Signature, is_turned_away, signatures
+from uvgs_bench.accuracy.centroid_noise import noise_at_predictions
 from uvgs_bench.accuracy.least_squares import usual_distance
 from uvgs_bench.accuracy.led_evidence import blamed_leds
 from uvgs_bench.accuracy.observations import Observations
@@ -115,7 +116,7 @@ def _by_residuals(
     if len(np.unique(data.station)) < LEAST_VISITS:
         return (), ()
     residual = pose_residuals(data, *registration.predict(data))
-    noise = _noise(data, registration, lens, leds_m)
+    noise, _ = noise_at_predictions(data, registration, lens, leds_m)
     distance = _lengths(residual, noise + gantry_covariance(registration.gantry_sigma_m))
     turned = is_turned_away(residual, distance, usual_distance(distance, np.ones(data.count)))
     wrong = (of_turned_poses(data, turned),) if turned.any() else ()
@@ -147,7 +148,8 @@ class _Search:
     ) -> None:
         self.obs = obs
         residual = pose_residuals(obs, *registration.predict(obs))
-        visits, of_visit = visits_of(residual, _noise(obs, registration, lens, leds_m), obs.station, obs.place)
+        noise, _ = noise_at_predictions(obs, registration, lens, leds_m)
+        visits, of_visit = visits_of(residual, noise, obs.station, obs.place)
         self.absorbed = registration.prediction_jacobian(obs)
         averaged = [means(self.absorbed, of_visit)] + [means(s.effect, of_visit) for s in possible]
         explained, self.freedom = _explained(visits, averaged)
@@ -359,18 +361,6 @@ def _can_be_seen(obs: Observations, registration: Registration, lens: Lens, leds
     seen = np.zeros(len(J), dtype=np.bool_)
     seen[is_finite] = least > _LEAST_EIGENVALUE
     return seen
-
-
-def _noise(obs: Observations, registration: Registration, lens: Lens, leds_m: FloatArray) -> FloatArray:
-    """Covariance from centroid noise at the predicted poses, shape (N, 6, 6).
-
-    The stated one is taken where the pose was found, so it goes with the error and would lean the fit to one side; its
-    level is kept, its shape is taken where the beacon should be.
-    """
-    J, _ = pose_pixel_jacobian(lens, leds_m, *registration.predict(obs))
-    information = np.einsum("nkui,nkuj->nij", J, J)
-    level_px2 = np.einsum("nij,nji->n", obs.noise_covariance, information) / 6.0
-    return np.asarray(np.median(level_px2) * np.linalg.inv(information))
 
 
 def _basis(columns: FloatArray) -> FloatArray:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from uvgs_bench.sessions.plan_advice import Advice, Wish
 
 
+_NOISE_PX, _PLACE_NOISE_PX = 0.05, 0.03
+
+
 def plan(
     half_width: Annotated[
         float, typer.Option("--half-width", help="Half of the 95 % interval wanted, in the unit of the quantity.")
@@ -27,12 +30,20 @@ def plan(
         Path | None,
         typer.Option(help="Where camera and beacon sit, as uvgs register wrote it; a simulated bench knows."),
     ] = None,
+    from_run: Annotated[
+        Path | None, typer.Option("--from", help="Learn noise and registration from this run.", show_default=False)
+    ] = None,
     noise_px: Annotated[
-        float, typer.Option("--noise-px", help="Noise of a centroid, anew in every capture, px.")
-    ] = 0.05,
+        float | None,
+        typer.Option("--noise-px", help="Noise of a centroid, anew in every capture, px.  [default: 0.05, or learned]"),
+    ] = None,
     place_noise_px: Annotated[
-        float, typer.Option("--place-noise-px", help="Error of a centroid that captures of a place share, px.")
-    ] = 0.03,
+        float | None,
+        typer.Option(
+            "--place-noise-px",
+            help="Error of a centroid that captures of a place share, px.  [default: 0.03, or learned]",
+        ),
+    ] = None,
     out_file: Annotated[Path | None, typer.Option("--out", help="Write the procedure, for uvgs gantry-sweep.")] = None,
     seed: Seed = 0,
     force: Force = False,
@@ -49,7 +60,7 @@ def plan(
 
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.errors import ConfigError
-    from uvgs_bench.sessions.plan_advice import PLANNABLE, Wish, advise, procedure_tables
+    from uvgs_bench.sessions.plan_advice import PLANNABLE, Wish, advise, learned_from, procedure_tables
     from uvgs_bench.store.beacons import read_beacon
     from uvgs_bench.store.bench import read_bench
     from uvgs_bench.store.calibrations import read_calibration
@@ -63,13 +74,28 @@ def plan(
         ("--noise-px", noise_px, "positive"),
         ("--place-noise-px", place_noise_px, "not negative"),
     ):
-        if not (math.isfinite(value) and (value > 0.0 or (value == 0.0 and least == "not negative"))):
+        if value is not None and not (
+            math.isfinite(value) and (value > 0.0 or (value == 0.0 and least == "not negative"))
+        ):
             raise ConfigError(f"must be finite and {least}, got {value}", key=key)
     if out_file is not None:
         check_writable(out_file, force=force)
     setup = read_bench(bench)
-    poses = _poses(setup, registration)
-    wish = Wish(quantity, half_width, noise_px, place_noise_px)
+    learned = None if from_run is None else learned_from(from_run, setup.mount)
+    if learned is not None and registration is None:
+        poses = learned.poses
+    else:
+        poses = _poses(setup, registration)
+    if learned is not None:
+        noise_px = learned.noise.centroid_sigma_px if noise_px is None else noise_px
+        place_noise_px = learned.noise.place_sigma_px if place_noise_px is None else place_noise_px
+    wish = Wish(
+        quantity,
+        half_width,
+        _NOISE_PX if noise_px is None else noise_px,
+        _PLACE_NOISE_PX if place_noise_px is None else place_noise_px,
+        learned.words if learned is not None else "",
+    )
     with progress_sink(quiet=quiet) as sink:
         advice = advise(
             setup, read_calibration(setup.camera_file).lens, read_beacon(setup.beacon_file), poses, wish, seed, sink
@@ -110,6 +136,7 @@ def _facts(advice: Advice, wish: Wish) -> dict[str, object]:
         "half_width_wanted": wish.half_width,
         "centroid_sigma_px": wish.centroid_sigma_px,
         "place_sigma_px": wish.place_sigma_px,
+        "noise_source": wish.source,
         "places": plan.waypoint_count,
         "register_places": plan.register_waypoint_count,
         "stations": len(plan.stations),
@@ -146,8 +173,9 @@ def _print(advice: Advice, wish: Wish, out_file: Path | None) -> None:
         f"{forecast.half_width_most:.2g} {unit} in the worst tenth",
         "reached": f"{wish.half_width:g} {unit} in {forecast.reached} of {forecast.benches} simulated benches",
         "share": f"the registration makes up {forecast.registration_share:.0%} of the squared errors",
-        "taken": f"centroid noise {wish.centroid_sigma_px:g} px, {wish.place_sigma_px:g} px shared by a place, nothing "
-        "wrong with the bench: a worse sensor has wider intervals",
+        "taken": f"centroid noise {wish.centroid_sigma_px:.3g} px, {wish.place_sigma_px:.3g} px shared by a place"
+        + (f" ({wish.source})" if wish.source else "")
+        + ", nothing wrong with the bench: a worse sensor has wider intervals",
     }
     for name, text in lines.items():
         out.print(f"{name:<12} {text}", soft_wrap=True)

@@ -9,6 +9,7 @@ Source: J. H. Halton, On the efficiency of certain quasi-random sequences of poi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -16,19 +17,22 @@ import numpy as np
 from uvgs_bench.accuracy import error_table, fit_registration
 from uvgs_bench.accuracy.bench_model import predicted
 from uvgs_bench.accuracy.blind_bench import BlindBench, PlannedStations, observe
+from uvgs_bench.accuracy.centroid_noise import LearnedNoise, learn_noise
 from uvgs_bench.accuracy.judgement import QUANTITIES
-from uvgs_bench.accuracy.observations import Observations
+from uvgs_bench.accuracy.observations import Mount, Observations
 from uvgs_bench.accuracy.statistics import AccuracySummary, Estimate, summarise
 from uvgs_bench.beacon import Beacon
 from uvgs_bench.camera.lens import Lens
 from uvgs_bench.devices.bench import Bench
 from uvgs_bench.devices.gantry.axes import Axis, gantry_from_carriage
-from uvgs_bench.errors import EnvelopeError, PlanError, RegistrationError
+from uvgs_bench.errors import EnvelopeError, PlanError, RegistrationError, RunError
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.sessions.events import EventSink, StageAdvanced, StageFinished, StageStarted
 from uvgs_bench.sessions.patterns import Waypoints, position_key
 from uvgs_bench.sessions.planning import Plan, plan
 from uvgs_bench.sessions.procedure import Procedure
+from uvgs_bench.store.observations import observations_from_run
+from uvgs_bench.store.run import read_run
 from uvgs_bench.units import deg_from_rad, m_from_mm, mm_from_m, mps_from_mm_min
 
 PLANNABLE = tuple(
@@ -61,12 +65,14 @@ class Wish:
         half_width: Half of the 95 % interval that is wanted, in the quantity's unit, mm or deg.
         centroid_sigma_px: Standard deviation of each centroid coordinate, new in every capture, px.
         place_sigma_px: The same for what all captures of a place share, px.
+        source: Where the two are known from, in words; empty when they were assumed or given.
     """
 
     quantity: str
     half_width: float
     centroid_sigma_px: float
     place_sigma_px: float
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,47 @@ class Advice:
     seen_share: float
     range_min_m: float
     range_max_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """What a first run teaches for planning the next.
+
+    Args:
+        noise: Noise of the sensor.
+        poses: Left and right pose of the run's registration.
+        words: Where both come from, one line.
+    """
+
+    noise: LearnedNoise
+    poses: tuple[Pose, Pose]
+    words: str
+
+
+def learned_from(path: Path, mount: Mount) -> Learned:
+    """Learn noise and registration from a run.
+
+    Args:
+        path: The run folder.
+        mount: Which part rides the carriage on the bench that is planned for.
+
+    Returns:
+        What was learned.
+
+    Raises:
+        RunError: The run is unreadable, or of a bench with the other mount.
+        RegistrationError: Too few stations with a pose.
+    """
+    run = read_run(path)
+    if run.manifest.mount != mount:
+        raise RunError(f"has {run.manifest.mount}, the bench has {mount}", str(path))
+    obs = observations_from_run(run)
+    found = fit_registration(obs, gantry_sigma_m=run.manifest.gantry_sigma_m, nominal=run.manifest.mounted)
+    noise = learn_noise(obs, found, run.calibration.lens, run.beacon.positions_m)
+    words = f"learned from {noise.visit_count} stations of {run.manifest.id}"
+    if not noise.is_parted:
+        words += "; one capture a station does not part the two"
+    return Learned(noise, (found.left, found.right), words)
 
 
 def advise(
