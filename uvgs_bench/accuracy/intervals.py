@@ -30,7 +30,8 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
     """Bias, spread and RMS of an error vector of d components, with the registration's doubt in their intervals.
 
     A registration error shifts all errors together, which no drawing of places shows: its effect on each figure is
-    added to the variance, and its expected share of the mean square is taken off the lower end.
+    added to the variance, and its expected share of the mean square is taken off both ends. The upper end stays at the
+    figure or above.
 
     Args:
         errors: Errors of captures with a pose, shape (n, d), d >= 1.
@@ -70,11 +71,15 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
     var_here = np.concatenate([[1.0], -2.0 * mean, [2.0 * float(mean @ mean) - square]])
     var_drawn = np.column_stack([ones, -2.0 * m, 2.0 * (m**2).sum(axis=1) - m2])
 
-    shared_ms = float(np.linalg.norm(2.0 * np.einsum("nd,ndk->k", errors, factor) / n))
-    shared_var = float(np.linalg.norm(2.0 * np.einsum("nd,ndk->k", centred, factor) / n))
+    # The share itself is a square of what is not known: its standard deviation beside that of the cross term.
+    Q = np.einsum("ndi,ndj->ij", factor, factor) / n
+    Q_centred = Q - shared_mean.T @ shared_mean
+    shared_ms = _length(2.0 * np.einsum("nd,ndk->k", errors, factor) / n, 2.0**0.5 * Q)
+    shared_var = _length(2.0 * np.einsum("nd,ndk->k", centred, factor) / n, 2.0**0.5 * Q_centred)
     low, high = _log_interval(square, drawn.sigma_here(ms_here), m2, drawn.sigmas(ms_drawn), shared_ms)
     counted = worth(errors, clusters)
-    rms = clusters.estimate(np.sqrt(square), np.sqrt(max(low - shared_square, 0.0)), np.sqrt(high), worth=counted)
+    ends = np.sqrt(max(low - shared_square, 0.0)), np.sqrt(max(high - shared_square, square))
+    rms = clusters.estimate(np.sqrt(square), *ends, worth=counted)
     low, high = _log_interval(variance, drawn.sigma_here(var_here), v, drawn.sigmas(var_drawn), shared_var)
     # The mean follows the places at hand: the population form is too small by the variance of the mean.
     mean_variance = sum(
@@ -82,7 +87,7 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
     )
     grown = 1.0 + mean_variance / max(variance, 1e-300)
     low, high = low * grown, high * grown
-    ends = np.sqrt(max(low - shared_variance, 0.0)), np.sqrt(high)
+    ends = np.sqrt(max(low - shared_variance, 0.0)), np.sqrt(max(high - shared_variance, variance))
     spread = clusters.estimate(np.sqrt(variance), *ends, worth=counted)
     if d == 1:
         sigma = drawn.sigma_here(np.array([0.0, 1.0, -mean[0]]))
@@ -96,6 +101,11 @@ def moment_intervals(errors: FloatArray, factor: FloatArray, clusters: Clusters)
         radius = _mean_radius(m - mean, shared, S)
         bias = clusters.estimate(bias_value, max(bias_value - radius, 0.0), bias_value + radius, worth=counted)
     return MomentIntervals(bias, spread, rms)
+
+
+def _length(*parts: FloatArray) -> float:
+    """Root of the sum of squares of independent parts."""
+    return float(np.sqrt(sum(float((part**2).sum()) for part in parts)))
 
 
 def ratio_interval(numerator: FloatArray, denominator: FloatArray, clusters: Clusters) -> tuple[float, float, float]:
