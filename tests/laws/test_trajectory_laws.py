@@ -77,7 +77,11 @@ def test_positions_and_velocities_do_not_jump(plan: tuple[list[PathPoint], Motio
         assert not path.velocity[0].any() or np.abs(path.velocity[0]).max() < 1e-12
     assert np.array_equal(path.state_at(-1.0).position, points[0].position)
     assert np.array_equal(path.state_at(path.duration_s + 1.0).position, points[-1].position)
+    assert path.state_at(path.duration_s).place == len(points) - 1
     times = np.linspace(-0.1, path.duration_s + 0.1, 40)
+    passed = [path.state_at(float(t)).place for t in times]
+    assert passed == sorted(passed)
+    assert passed[-1] == len(points) - 1
     each = np.array([path.state_at(float(t)).position for t in times])
     assert np.allclose(path.positions_at(times), each, rtol=0.0, atol=1e-12)
 

@@ -150,6 +150,7 @@ class Trajectory:
         acceleration: Second rates of each piece, shape (m, n).
         place: Number of the place reached or passed last, shape (m,).
         last: Where it ends, shape (n,).
+        last_place: Number of its last place.
     """
 
     begin_s: FloatArray
@@ -159,6 +160,7 @@ class Trajectory:
     acceleration: FloatArray
     place: NDArray[np.int64]
     last: FloatArray
+    last_place: int
 
     def state_at(self, t_s: float) -> TrajectoryState:
         """Where it is, how fast, and how it accelerates.
@@ -172,7 +174,7 @@ class Trajectory:
         zero = np.zeros(self.last.shape)
         if t_s < 0.0 or t_s >= self.duration_s:
             is_over = t_s >= self.duration_s
-            place = int(self.place[-1]) + 1 if is_over and len(self.place) else 0
+            place = self.last_place if is_over else 0
             start = self.position[0] if len(self.position) else self.last
             return TrajectoryState(self.last if is_over else start, zero, zero, place)
         i = int(np.searchsorted(self.begin_s, t_s, side="right")) - 1
@@ -231,7 +233,7 @@ def plan_trajectory(points: Sequence[PathPoint], limits: MotionLimits) -> Trajec
             pieces.arrive(point.position)
         if point.dwell_s > 0.0:
             pieces.wait(point.dwell_s, i)
-    return pieces.done(points[-1].position)
+    return pieces.done(points[-1].position, len(points) - 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -326,7 +328,7 @@ class _Pieces:
         """Take away what rounding has gathered."""
         self._here = np.array(position)
 
-    def done(self, last: FloatArray) -> Trajectory:
+    def done(self, last: FloatArray, last_place: int) -> Trajectory:
         n = len(self._here)
         rows = self._rows
         return Trajectory(
@@ -337,6 +339,7 @@ class _Pieces:
             acceleration=read_only(np.array([row[3] for row in rows]).reshape(-1, n)),
             place=np.array([row[4] for row in rows], dtype=np.int64),
             last=read_only(last, (n,)),
+            last_place=last_place,
         )
 
     def _add(self, duration_s: float, velocity: FloatArray, acceleration: FloatArray, place: int) -> None:

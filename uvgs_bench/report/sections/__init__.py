@@ -10,6 +10,7 @@ SECTIONS: dict[str, str] = {
     "traceability": "uvgs_bench.report.sections.traceability:build",
     "accuracy": "uvgs_bench.report.sections.accuracy:build",
     "quantities": "uvgs_bench.report.sections.quantities:build",
+    "motion": "uvgs_bench.report.sections.motion:build",
     "volume": "uvgs_bench.report.sections.volume:build",
     "errors": "uvgs_bench.report.sections.errors:build",
     "distribution": "uvgs_bench.report.sections.distribution:build",
