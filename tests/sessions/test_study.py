@@ -141,8 +141,14 @@ def test_a_dask_cluster_says_the_same(tmp_path: Path) -> None:
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     ) as cluster:
-        found = done(tmp_path / RESULTS_FILE, scheduler=cluster.scheduler_address)
+        address = cluster.scheduler_address
+        found = done(tmp_path / RESULTS_FILE, scheduler=address)
+        # A study's own task as well: a clean bench and one with a planted cause.
+        real = Work(STUDIES["diagnosis"].task, 3, {})
+        spread = done(tmp_path / "spread.jsonl", 2, real, scheduler=address)
     assert found == by_hand()
+    assert spread == done(tmp_path / "here.jsonl", 2, real)
+    assert [row["kind"] for row in spread] == ["clean", "led_offset"]
 
 
 @pytest.mark.parametrize(
