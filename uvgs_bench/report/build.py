@@ -9,7 +9,7 @@ from uvgs_bench.accuracy.judgement import Judgement, LimitVerdict
 from uvgs_bench.report.cells import Interval, Number
 from uvgs_bench.report.chapters import built_sections
 from uvgs_bench.report.document import Alert, Document, KeyFigure
-from uvgs_bench.report.quantities import SCALES, decimals_of, limit_reason
+from uvgs_bench.report.quantities import SCALES, decimals_of, limit_reason, stations_taken
 from uvgs_bench.report.sections import SECTIONS
 from uvgs_bench.store.run import Run
 
@@ -52,7 +52,7 @@ def _banners(run: Run) -> tuple[Alert, ...]:
         text = "SIMULATED BENCH. Camera or gantry are software: these figures say nothing about a real sensor."
         banners.append(Alert("warning", text))
     if run.ended != "completed":
-        taken, planned = len({sample.station for sample in run.samples}), run.manifest.station_count
+        taken, planned = stations_taken(run), run.manifest.station_count
         how = {"interrupted": "was interrupted", "failed": "failed"}.get(run.ended, "has no recorded end")
         reason = f": {run.end_reason}" if run.end_reason else ""
         text = f"INCOMPLETE. This run {how} after {taken} of {planned} stations{reason}. It is judged on what there is."

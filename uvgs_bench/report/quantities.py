@@ -11,6 +11,7 @@ from uvgs_bench.accuracy.judgement import QUANTITIES, LimitVerdict
 from uvgs_bench.accuracy.statistics import Estimate
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.report.cells import Interval, Measured, Number, decimals_for
+from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, ms_from_s
 
 COMPONENT_WORDS = {
@@ -96,6 +97,12 @@ def measured(estimate: Estimate, scale: Scale, decimals: int) -> Measured:
     """A figure and its interval, for a table cell."""
     e = estimate.scaled(scale.factor)
     return Measured(Number(e.value, decimals, scale.unit), Interval(e.low, e.high, decimals, scale.unit))
+
+
+def stations_taken(run: Run) -> int:
+    """Planned stations with a capture; captures along a motion have numbers after theirs and do not count."""
+    planned = run.manifest.station_count
+    return len({sample.station for sample in run.samples if not planned or sample.station < planned})
 
 
 def is_largest_seen(verdict: LimitVerdict) -> bool:

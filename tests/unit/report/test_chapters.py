@@ -30,8 +30,8 @@ from uvgs_bench.report.sections import SECTIONS, distribution, errors, limits, m
 from uvgs_bench.sensor.outcome import Miss
 from uvgs_bench.store.run import Run
 
-BUILT_ON_ERRORS = ("errors", "volume", "distribution", "worst", "quantities", "budget", "gantry")
-"""Chapters left out when there are no errors (the last when the gantry was never judged)."""
+BUILT_ON_ERRORS = ("errors", "volume", "distribution", "worst", "quantities", "budget", "motion", "gantry")
+"""Chapters left out when there are no errors; the last two when nothing was driven and the gantry was never judged."""
 
 
 def section(document: Document, key: str) -> Section:

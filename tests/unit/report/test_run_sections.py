@@ -23,7 +23,17 @@ from uvgs_bench.report.bench_drawing import bench_figure
 from uvgs_bench.report.cells import Measured, Number
 from uvgs_bench.report.document import Alerts, Document, Paragraph, Section, Table
 from uvgs_bench.report.html import render_html
-from uvgs_bench.report.sections import budget, diagnosis, gantry, quantities, registration, traceability
+from uvgs_bench.report.quantities import stations_taken
+from uvgs_bench.report.sections import (
+    budget,
+    diagnosis,
+    distribution,
+    gantry,
+    quantities,
+    registration,
+    setup,
+    traceability,
+)
 from uvgs_bench.store.gantry_records import AxisRecord, GantryRecord, PairRecord, write_gantry_record
 from uvgs_bench.store.run import Run
 
@@ -230,3 +240,23 @@ def test_the_chain_of_links_says_what_rests_on_the_sensor(run: Run, judgement: J
     assert unknown.shown == "–"
     assert "owes nothing to the sensor" in words(built)
     assert "absorbs any constant offset" in words(registration.build(run, judgement))
+
+
+def test_captures_along_a_motion_are_no_stations(run: Run, judgement: Judgement) -> None:
+    assert stations_taken(run) == 15
+    driven = replace(run, manifest=replace(run.manifest, station_count=12))
+    assert stations_taken(driven) == 12
+    rows = {str(row[0]): row[1] for row in tables(setup.build(driven, judgement))[0].rows}
+    assert str(rows["Stations taken"]).startswith("12 of 12 planned")
+    along = rows["Of them along the motion"]
+    assert isinstance(along, Number)
+    assert along.value == 6
+
+
+def test_the_covariance_is_judged_for_each_range(run: Run, judgement: Judgement) -> None:
+    assert judgement.summary is not None
+    checks = judgement.summary.consistency_by_range
+    assert len(checks) > 1
+    (shown,) = tables(distribution.build(run, judgement))
+    assert [row[0] for row in shown.rows] == [words for words, _ in checks]
+    assert [row[3] for row in shown.rows] == [check.verdict for _, check in checks]

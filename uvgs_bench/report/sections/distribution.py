@@ -8,11 +8,14 @@ import numpy as np
 
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.accuracy.pose_error import ErrorTable
+from uvgs_bench.accuracy.statistics import Consistency
 from uvgs_bench.geometry import FloatArray
-from uvgs_bench.report.document import Figure, Paragraph, Section
+from uvgs_bench.report.cells import Cell, Interval
+from uvgs_bench.report.document import Block, Column, Figure, Paragraph, Section, Table
 from uvgs_bench.report.figures import legend_above, plain_axes, series, style, svg_of, thinned
 from uvgs_bench.report.marks import draw_marks
 from uvgs_bench.report.palette import INK, SERIES
+from uvgs_bench.report.quantities import SCALES, decimals_of, measured
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.store.run import Run
 
@@ -34,14 +37,41 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         "Each error is divided by the standard deviation predicted for it (sensor, gantry and registration). Taller "
         "tails than the drawn law mean that the sensor is surer of itself than it should be."
     )
-    blocks = [Paragraph(text)]
+    blocks: list[Block] = [Paragraph(text)]
     figures = (
         _components(z[:, 3:], "z-position", ("lateral x", "lateral y", "depth z"), "position"),
         _components(z[:, :3], "z-attitude", ("tilt x", "tilt y", "roll z"), "attitude"),
         _nees(table.nees[np.isfinite(table.nees)]),
         _nees_by_range(table.select(np.isfinite(table.nees))),
     )
-    return Section("distribution", "Errors against the predicted law", (*blocks, *figures))
+    by_range = () if judgement.summary is None else _by_range(judgement.summary.consistency_by_range)
+    return Section("distribution", "Errors against the predicted law", (*blocks, *figures, *by_range))
+
+
+def _by_range(checks: tuple[tuple[str, Consistency], ...]) -> tuple[Table, ...]:
+    """Whether the covariance tells the truth near and far alike."""
+    if not checks:
+        return ()
+    one = SCALES["1"]
+    decimals = decimals_of([check.mean_nees_over_6 for _, check in checks], 1.0, 2)
+    rows: list[tuple[Cell, ...]] = [
+        (
+            words,
+            measured(check.mean_nees_over_6, one, decimals),
+            Interval(check.band_low, check.band_high, 2),
+            check.verdict,
+            check.reason,
+        )
+        for words, check in checks
+    ]
+    columns = (
+        Column("Range"),
+        Column("Mean NEES / 6", is_numeric=True),
+        Column("Expected", is_numeric=True),
+        Column("Stated covariance is"),
+        Column("Because"),
+    )
+    return (Table("The stated covariance by range; 1 is honest, more is too sure of itself.", columns, tuple(rows)),)
 
 
 def normalised(run: Run, table: ErrorTable, gantry_sigma_m: float) -> FloatArray:

@@ -7,6 +7,7 @@ from uvgs_bench.devices.gantry.axes import Axis
 from uvgs_bench.report.bench_drawing import bench_figure
 from uvgs_bench.report.cells import Cell, Number
 from uvgs_bench.report.document import Block, Column, Section, Table
+from uvgs_bench.report.quantities import stations_taken
 from uvgs_bench.store.run import Run
 from uvgs_bench.units import deg_from_rad, mm_from_m, s_from_ns
 
@@ -23,7 +24,7 @@ def build(run: Run, judgement: Judgement) -> Section | None:
 
 def _run_table(run: Run) -> Table:
     m = run.manifest
-    taken = len({sample.station for sample in run.samples})
+    driven = sum(sample.station >= m.station_count > 0 for sample in run.samples)
     duration_s = s_from_ns(run.samples[-1].t_ns - run.samples[0].t_ns) if run.samples else None
     fitted = len({sample.station for sample in run.samples if sample.role == "register"})
     rows: list[tuple[Cell, ...]] = [
@@ -33,9 +34,13 @@ def _run_table(run: Run) -> Table:
         ("Gantry judged by", m.gantry_info.get("judged_by", "not recorded")),
         ("Simulated", "YES: camera or gantry are software" if m.simulated else "no: real camera and gantry"),
         ("Mount", m.mount.replace("_", " ")),
-        ("Stations taken", f"{taken} of {m.station_count} planned, {fitted} of them to fit the registration"),
+        (
+            "Stations taken",
+            f"{stations_taken(run)} of {m.station_count} planned, {fitted} of them to fit the registration",
+        ),
         ("Captures per station", Number(m.captures_per_station, 0)),
         ("Captures taken", Number(len(run.samples), 0)),
+        *((("Of them along the motion", Number(driven, 0)),) if driven else ()),
         ("Settling before the first exposure", Number(m.settle_s, 2, "s")),
         ("First to last capture", Number(duration_s, 1, "s")),
         ("Began", m.created_utc),
