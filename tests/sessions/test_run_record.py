@@ -74,14 +74,12 @@ def two(folder: Path, count: int) -> tuple[object, ...]:
 @pytest.mark.parametrize(
     "words",
     [
-        (),
-        ("--track", "--limit", 7),
-        ("--handover", "position", "--zone-m", "red=1:inf", "--zone-m", "green=0:1", "--hold-s", 0.3),
+        ("--track", "--limit", 7, "--handover", "position", "--zone-m", "red=1:inf", "--zone-m", "green=0:1"),
         ("--handover", "command", "--active", "green", "--hold-s", 0.15),
         ("--auto-exposure", "--max-exposure-ms", 15.0),
         ("--difference",),
     ],
-    ids=lambda words: str(words[0]) if words else "plain",
+    ids=lambda words: str(words[0]),
 )
 def test_a_record_solved_again_gives_the_same_lines(hidden, tmp_path, monkeypatch, words):
     a, b, record = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "r.mcap"
