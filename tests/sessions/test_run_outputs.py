@@ -52,7 +52,9 @@ def setup(folder: Path) -> tuple[object, ...]:
 def test_all_outputs_say_the_same_poses(bench, tmp_path, capfd):
     names = ("p.csv", "p.tum", "p.jsonl", "p.bag", "p.mcap")
     outs = [word for name in names for word in ("--out", tmp_path / name)]
-    assert uvgs(*setup(bench), *outs, "--astrobee", "v1", "--annotated", "--compression", "bz2", "--json") == 0
+    assert (
+        uvgs(*setup(bench), *outs, "--astrobee", "v1", "--annotated", "--images", "--compression", "bz2", "--json") == 0
+    )
     told = capfd.readouterr()
     summary = json.loads(told.out)
     assert summary["out"] == [str(tmp_path / name) for name in names]
@@ -67,7 +69,7 @@ def test_all_outputs_say_the_same_poses(bench, tmp_path, capfd):
             for message in bags.messages():
                 rows.setdefault(message.channel.topic, []).append((message.log_ns, message.decode()))
         assert {topic: len(found) for topic, found in rows.items()} == {
-            "/uvgs/camera_info": 4, "/diagnostics": 4, "/uvgs/test/pose": 3, "/tf": 3,
+            "/uvgs/camera_info": 4, "/uvgs/image_raw": 4, "/diagnostics": 4, "/uvgs/test/pose": 3, "/tf": 3,
             "/uvgs/test/image_annotated/compressed": 4, "/loc/ar/registration": 3, "/loc/ar/features": 3,
         }  # fmt: skip
         for (t_ns, message), pose, stamp in zip(rows["/uvgs/test/pose"], poses, stamps, strict=True):

@@ -20,9 +20,9 @@ from uvgs_bench.cli.app import main
 from uvgs_bench.devices.cameras.base import ClosingSource
 from uvgs_bench.devices.sim.camera import SimulatedCamera
 from uvgs_bench.errors import CaptureError
+from uvgs_bench.interop.bag_writer import IMAGE_TOPIC
 from uvgs_bench.interop.bags import open_bags
 from uvgs_bench.sensor import Capture
-from uvgs_bench.sessions.recording import IMAGE_TOPIC
 from uvgs_bench.sessions.replay import is_recording, open_recording
 from uvgs_bench.store.beacons import write_beacon
 from uvgs_bench.store.calibrations import write_calibration

@@ -120,6 +120,7 @@ def run(
         Literal["none", "bz2", "zstd"] | None,
         typer.Option("--compression", help="bz2 of .bag, zstd of .mcap; records have zstd.", rich_help_panel=_OUTPUT),
     ] = None,
+    images: Annotated[bool, typer.Option("--images", help="Bags get the pictures.", rich_help_panel=_OUTPUT)] = False,
     annotated: Annotated[
         bool,
         typer.Option("--annotated", help="Bags get pictures of what the sensor saw.", rich_help_panel=_OUTPUT),
@@ -210,7 +211,9 @@ def run(
             raise ConfigError("is for --batch", option)
     if source is None:
         raise ConfigError("is needed, or a list of them with --batch", "SOURCE")
-    options = OutletOptions(tuple(out or ()), compression, annotated, astrobee, udp, rate_hz, debug_images, force)
+    options = OutletOptions(
+        tuple(out or ()), compression, images, annotated, astrobee, udp, rate_hz, debug_images, force
+    )
     options.check(source, record)
     is_interrupted = False
     with ExitStack() as stack:

@@ -25,6 +25,7 @@ class OutletOptions:
     Args:
         out: Pose files and bags.
         compression: Of bags; None for none.
+        images: Whether bags get the pictures.
         annotated: Whether bags get pictures of what the sensor saw.
         astrobee: Version of Astrobee's messages in bags, or None for none.
         udp: ``HOST:PORT`` of a controller, or None.
@@ -35,6 +36,7 @@ class OutletOptions:
 
     out: tuple[Path, ...]
     compression: Compression | None = None
+    images: bool = False
     annotated: bool = False
     astrobee: Literal["v1", "v2"] | None = None
     udp: str | None = None
@@ -68,7 +70,7 @@ class OutletOptions:
         for word, ending in (("bz2", ".bag"), ("zstd", ".mcap")):
             if self.compression == word and not any(path.suffix == ending for path in (*self.out, *records)):
                 raise ConfigError(f"{word} compresses {ending} files, but none is written", "--compression")
-        for name, value in (("--astrobee", self.astrobee), ("--annotated", self.annotated)):
+        for name, value in (("--astrobee", self.astrobee), ("--images", self.images), ("--annotated", self.annotated)):
             if value and not has_bag:
                 raise ConfigError("needs an --out that ends in .bag or .mcap", name)
         if self.rate_hz is not None and not is_told:
@@ -89,10 +91,10 @@ def open_outlets(
         setup: What the stream is solved with.
         options: What was asked for.
         sink: Where warnings go.
-        more: Outlets that are open already and come first.
+        more: Outlets that are open already.
 
     Returns:
-        The outlets in the order in which they take an answer: what is kept comes before what is shown.
+        The outlets in the order in which they take an answer: what is told at once, what is kept, what is drawn.
 
     Raises:
         ConfigError: An ending is unknown, or a file exists and may not be replaced.
@@ -104,13 +106,17 @@ def open_outlets(
 
     if options.astrobee is not None:
         _warn_of_minimum(setup, sink)
-    outlets: list[Outlet] = list(more)
+    outlets: list[Outlet] = []
     with ExitStack() as opening:
 
         def add(outlet: Outlet) -> None:
             opening.callback(outlet.close)
             outlets.append(outlet)
 
+        if options.udp is not None:
+            # First: whoever steers by it waits for nothing else.
+            add(UdpTelemetry(options.udp, sink, options.rate_hz))
+        outlets += more
         for path in options.out:
             if path.suffix in (".bag", ".mcap"):
                 add(_bag(path, setup, options))
@@ -118,8 +124,6 @@ def open_outlets(
                 add(PoseFile(open_pose_writer(path, force=options.force, beacons=tuple(setup.sensors))))
         if options.debug_images is not None:
             add(DebugFolders(options.debug_images, setup.sensors, force=options.force))
-        if options.udp is not None:
-            add(UdpTelemetry(options.udp, sink, options.rate_hz))
         opening.pop_all()
     opened = Outlets(outlets, sink)
     stack.callback(opened.close)
@@ -140,7 +144,8 @@ def _bag(path: Path, setup: StreamSetup, options: OutletOptions) -> Outlet:
     compression = options.compression if fitting and options.compression else "none"
     bag = NewBag(path, compression=compression, version=options.astrobee, force=options.force)
     beacons = {beacon.name: beacon for beacon in setup.beacons}
-    return PoseFile(BagPoses(bag, BagContents(setup.calibration.lens, beacons, options.astrobee, annotate)))
+    contents = BagContents(setup.calibration.lens, beacons, options.astrobee, options.images, annotate)
+    return PoseFile(BagPoses(bag, contents))
 
 
 def _warn_of_minimum(setup: StreamSetup, sink: EventSink) -> None:

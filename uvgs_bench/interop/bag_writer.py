@@ -6,6 +6,7 @@
 | ``/tf`` | the same as the beacon's frame under ``camera`` |
 | ``/diagnostics`` | one status per capture and beacon, misses and held poses included, with stage and reason |
 | ``/uvgs/camera_info`` | ``CameraInfo``, one per capture |
+| ``/uvgs/image_raw`` | ``Image``, every picture as it was solved, when asked for |
 | ``/uvgs/BEACON/image_annotated/compressed`` | what the sensor saw, when asked for |
 | ``/loc/ar/registration``, ``/loc/ar/features`` | Astrobee's messages of the active beacon, when asked for |
 
@@ -27,7 +28,11 @@ from uvgs_bench.interop.bag_container import BagContainer, Channel, MessageKind
 from uvgs_bench.interop.mcap_container import McapContainer
 from uvgs_bench.interop.pose_messages import MessageMaker, ros_names, ros_store
 from uvgs_bench.interop.ros1_container import Ros1Container
-from uvgs_bench.interop.ros_messages import camera_info_from_lens, compressed_from_image
+from uvgs_bench.interop.ros_messages import (
+    camera_info_from_lens,
+    compressed_from_image,
+    message_fields_from_image,
+)
 from uvgs_bench.interop.trajectories import LineNote
 from uvgs_bench.sensor.capture import Capture, ImageArray
 from uvgs_bench.sensor.handover import Held
@@ -38,6 +43,7 @@ Annotate = Callable[[Capture, PoseEstimate | Miss], ImageArray]
 
 _COMPRESSIONS: dict[str, tuple[Compression, ...]] = {".bag": ("none", "bz2"), ".mcap": ("none", "zstd")}
 BAG_ENDINGS = tuple(_COMPRESSIONS)
+IMAGE_TOPIC = "/uvgs/image_raw"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +54,14 @@ class BagContents:
         lens: The camera's lens.
         beacons: The beacons by name.
         version: Of Astrobee's messages; None for none.
+        has_images: Whether the pictures go in.
         annotate: Draws a capture with its outcome, BGR, by the beacon's name; empty for no pictures.
     """
 
     lens: Lens
     beacons: Mapping[str, Beacon]
     version: astrobee.Version | None = None
+    has_images: bool = False
     annotate: Mapping[str, Annotate] = field(default_factory=dict)
 
 
@@ -173,6 +181,8 @@ class BagPoses:
         bag, make, t_ns = self._bag, self._bag.make, capture.t_ns
         if capture is not self._last:
             bag.write("/uvgs/camera_info", t_ns, make.camera_info(t_ns, self._info))
+            if self._contents.has_images:
+                bag.write(IMAGE_TOPIC, t_ns, make.image(t_ns, message_fields_from_image(capture.image)))
             self._last = capture
         told = outcome.miss if isinstance(outcome, Held) else outcome
         word = self._words[told.beacon]

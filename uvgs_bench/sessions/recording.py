@@ -24,14 +24,13 @@ from typing import Literal
 
 from uvgs_bench.devices.cameras.source import ExposureControl
 from uvgs_bench.errors import UvgsError
-from uvgs_bench.interop.bag_writer import BagContents, BagPoses, NewBag
+from uvgs_bench.interop.bag_writer import IMAGE_TOPIC, BagContents, BagPoses, NewBag
 from uvgs_bench.interop.ros_messages import message_fields_from_image
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sessions.record_setup import RecordSetup, setup_text
 from uvgs_bench.sessions.stream import Answered
 
 SETUP_TOPIC = "/uvgs/setup"
-IMAGE_TOPIC = "/uvgs/image_raw"
 CAPTURE_TOPIC = "/uvgs/record/capture"
 ANSWER_TOPIC = "/uvgs/record/answer"
 # So much may wait for the disk: some seconds of a fast camera.

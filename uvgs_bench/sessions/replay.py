@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from uvgs_bench.errors import CaptureError, FormatError
+from uvgs_bench.interop.bag_writer import IMAGE_TOPIC
 from uvgs_bench.interop.bags import Bags, open_bags
 from uvgs_bench.interop.ros_messages import image_from_message
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sessions.record_setup import RecordedCamera, RecordSetup, setup_from_text
-from uvgs_bench.sessions.recording import ANSWER_TOPIC, CAPTURE_TOPIC, IMAGE_TOPIC, SETUP_TOPIC
+from uvgs_bench.sessions.recording import ANSWER_TOPIC, CAPTURE_TOPIC, SETUP_TOPIC
 from uvgs_bench.units import NS_PER_S
 
 

@@ -138,4 +138,6 @@ def _resolved(address: str) -> tuple[int, tuple[object, ...]]:
         found = socket.getaddrinfo(match["six"] or match["host"], int(match["port"]), type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
         raise ConfigError(f"the host of '{address}' is unknown: {getattr(error, 'strerror', error)}", "--udp") from None
-    return found[0][0], found[0][4]
+    # A name may mean both internets; listeners that do not care listen to the older one.
+    best = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+    return best[0], best[4]

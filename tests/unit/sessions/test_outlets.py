@@ -162,6 +162,16 @@ def test_addresses_are_checked(address):
         UdpTelemetry(address, ignore_events)
 
 
+def test_a_name_that_means_both_internets_means_the_older_one():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(5.0)
+        outlet = UdpTelemetry(f"localhost:{ear.getsockname()[1]}", ignore_events)
+        outlet.put(answered(FRESH))
+        outlet.close()
+        assert json.loads(ear.recv(65536))["status"] == "ok"
+
+
 def test_an_address_of_the_next_internet():
     UdpTelemetry("[::1]:5005", ignore_events).close()
 
