@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from uvgs_bench import __version__
+from uvgs_bench.devices.system_packages import find_package
 
 State = Literal["ok", "missing", "broken"]
 
@@ -24,8 +25,10 @@ _EXTRAS = (
     ("gtsam", "gtsam", "factor-graph fusion", "pip install 'uvgs-bench[fusion]'"),
     ("foxglove", "foxglove-sdk", "live view in Foxglove", "pip install 'uvgs-bench[live]'"),
     ("pyrealsense2", "pyrealsense2", "RealSense cameras", "pip install 'uvgs-bench[realsense]'"),
-    ("rospy", "ROS 1", "ROS 1 topics", "install ROS 1's rospy"),
-    ("rclpy", "ROS 2", "ROS 2 topics", "source a ROS 2 installation"),
+    ("distributed", "distributed", "studies and batches on a cluster", "pip install 'uvgs-bench[cluster]'"),
+    ("gi", "Aravis", "GigE and USB3 Vision cameras", "apt install gir1.2-aravis-0.8 python3-gi"),
+    ("rospy", "ROS 1", "node and topics of ROS 1", "source its setup.bash, or apt install python3-rospy"),
+    ("rclpy", "ROS 2", "node and topics of ROS 2", "source its setup.bash"),
 )
 _LOW_DISK_BYTES = 2 * 1024**3
 
@@ -174,7 +177,7 @@ def _extras() -> list[Finding]:
         _has(
             "extra",
             item,
-            importlib.util.find_spec(module) is not None,
+            find_package(module) is not None,
             f"{feature} available",
             f"no {feature}: {remedy}",
         )

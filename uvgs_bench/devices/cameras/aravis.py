@@ -6,7 +6,6 @@ import importlib.util
 import sys
 import time
 import warnings
-from importlib.machinery import PathFinder
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from uvgs_bench.devices.cameras.base import ClosingSource
 from uvgs_bench.devices.cameras.source import Setting
 from uvgs_bench.devices.clock import Clock
+from uvgs_bench.devices.system_packages import find_package
 from uvgs_bench.errors import CaptureError, ConfigError
 from uvgs_bench.sensor.capture import BayerPattern, Capture, ImageArray
 from uvgs_bench.sensor.mosaic import develop
@@ -37,8 +37,6 @@ _FORMATS: dict[str, tuple[int, BayerPattern | None]] = {
     "BayerGR8": (8, "grbg"),
     "BayerGB8": (8, "gbrg"),
 }
-# The bindings belong to the system's Python; only they are taken from there, not its older numpy.
-_SYSTEM_PACKAGES = "/usr/lib/python3/dist-packages"
 
 
 class AravisCamera(ClosingSource):
@@ -240,8 +238,9 @@ def _region(camera: Any) -> tuple[int, int, int, int]:
 
 def _bindings(spec: str) -> Any:
     try:
-        if "gi" not in sys.modules and importlib.util.find_spec("gi") is None:
-            found = PathFinder.find_spec("gi", [_SYSTEM_PACKAGES])
+        if "gi" not in sys.modules:
+            # Only this package is taken from there, not the system's older numpy.
+            found = find_package("gi")
             if found is None or found.loader is None:
                 raise ImportError("no module gi")
             module = importlib.util.module_from_spec(found)

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from uvgs_bench.devices.ros.door import ParameterValue
+from uvgs_bench.devices.system_packages import SYSTEM_PACKAGES
 from uvgs_bench.errors import CameraLost, CaptureError
 from uvgs_bench.interop.bag_framing import full_msgtype
 
-# Debian's Python packages, looked at after everything else: our own numpy and OpenCV must win.
-_SYSTEM_PACKAGES = "/usr/lib/python3/dist-packages"
 # A picture of 12 Mpx of 16 bit in one read; rospy's default makes it late by many pictures.
 _BUFFER_BYTES = 1 << 25
 _POLL_S = 0.5
@@ -163,8 +162,9 @@ def _imported(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        if Path(_SYSTEM_PACKAGES, "rospy").is_dir() and _SYSTEM_PACKAGES not in sys.path:
-            sys.path.append(_SYSTEM_PACKAGES)
+        if Path(SYSTEM_PACKAGES, "rospy").is_dir() and SYSTEM_PACKAGES not in sys.path:
+            # Behind everything else: our own numpy and OpenCV must win.
+            sys.path.append(SYSTEM_PACKAGES)
             return _imported(name)
         raise CaptureError(
             "needs ROS 1: source its setup.bash, or apt install python3-rospy, "
