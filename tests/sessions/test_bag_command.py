@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import subprocess
 from pathlib import Path
@@ -102,7 +103,7 @@ def test_what_is_no_bag_is_one_line_and_code_4(tmp_path, capfd, content, said):
 def test_a_healthy_bag_is_healthy(tmp_path, capfd):
     for kind in ("ros1", "db3"):
         code, found = checked(capfd, write_bag(tmp_path, kind, healthy()))
-        assert (code, found["healthy"], found["findings"]) == (0, True, [])
+        assert (code, found["verdict"], found["findings"]) == (0, "healthy", [])
         run = found["stamps"]["/cam/image_raw"]
         assert (run["dropped"], run["backwards"], run["jumps"]) == (0, 0, 0)
         assert run["rate_hz"] == pytest.approx(10.0)
@@ -206,6 +207,15 @@ def test_pictures_are_compared_with_a_calibration(tmp_path, capfd):
     code, found = checked(capfd, path, "--camera", tmp_path / "camera.yaml")
     assert code == 1
     assert "but the calibration given is for 1280x960 px" in found["findings"][0]["text"]
+
+
+def test_without_a_stamp_nothing_can_be_judged(tmp_path, capfd):
+    note = Note("/word", "std_msgs/msg/String", START_NS, {"data": "hello"})
+    path = write_bag(tmp_path, "mcap", [note])
+    code, found = checked(capfd, path)
+    assert (code, found["verdict"], found["messages"]) == (3, "inconclusive", 1)
+    assert uvgs("bag", "check", path) == 3
+    assert "INCONCLUSIVE: no message carries a stamp" in capfd.readouterr().out
 
 
 def test_damage_is_a_problem(tmp_path, capfd):
@@ -336,6 +346,24 @@ def test_converting_never_overwrites_unasked(tmp_path, capfd):
     assert not list(tmp_path.glob("c*"))
 
 
+@pytest.mark.parametrize("name", ["a.bag", "a.mcap", "a.db3", "folder"])
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, capfd, name):
+    path = write_bag(tmp_path / "source", "ros1", [image_note(np.zeros((600, 800), np.uint8), t) for t in stamps(9)])
+    target = tmp_path / "new" / name
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # No file may grow beyond this, which to a writer is a full disk.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_500_000, hard))
+    try:
+        code = uvgs("bag", "convert", path, "--out", target, "--quiet")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = capfd.readouterr().err.strip().splitlines()
+    assert code == 4
+    assert len(said) == 1
+    assert "cannot be written" in said[0]
+    assert not list(target.parent.iterdir())
+
+
 def test_own_types_keep_their_own_definition(tmp_path, capfd):
     source = astrobee_bag(tmp_path, [registration(START_NS), landmark_note(5, START_NS)])
     out, back = tmp_path / "a.mcap", tmp_path / "back.bag"
@@ -348,6 +376,22 @@ def test_own_types_keep_their_own_definition(tmp_path, capfd):
     with open_bags([source]) as first, open_bags([back]) as last:
         raw = [[message.raw for message in bags.messages()] for bags in (first, last)]
     assert raw[0] == raw[1]
+
+
+def test_readers_that_are_not_ours_read_what_is_converted(tmp_path):
+    rosbag, mcap = pytest.importorskip("rosbag"), pytest.importorskip("mcap_ros2.reader")
+    source = write_bag(tmp_path, "db3", healthy(3))
+    pixels = [bytes(entry[-1][-1]) for entry in contents(source) if entry[1] == "/cam/image_raw"]
+    for compression in ("none", "bz2", "lz4"):
+        out = tmp_path / f"{compression}.bag"
+        assert uvgs("bag", "convert", source, "--out", out, "--quiet", "--compression", compression) == 0
+        with rosbag.Bag(str(out)) as bag:
+            assert [bytes(message.data) for _, message, _ in bag.read_messages("/cam/image_raw")] == pixels
+    for compression in ("none", "zstd"):
+        out = tmp_path / f"{compression}.mcap"
+        assert uvgs("bag", "convert", source, "--out", out, "--quiet", "--compression", compression) == 0
+        found = mcap.read_ros2_messages(str(out), topics=["/cam/image_raw"])
+        assert [bytes(message.ros_msg.data) for message in found] == pixels
 
 
 def test_debians_own_tools_read_what_is_converted(tmp_path):

@@ -53,7 +53,7 @@ def check(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Stamps, gaps, drops, clocks, pictures, lenses, Astrobee landmarks: healthy (exit code 0) or not (1)."""
+    """Stamps, drops, clocks, pictures, lenses, Astrobee landmarks: healthy (exit code 0), not (1), inconclusive (3)."""
     from uvgs_bench.cli.bag_tables import print_health
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.interop.astrobee import LocalizerSettings
@@ -66,10 +66,11 @@ def check(
         settings = LocalizerSettings(min_landmarks=min_landmarks)
         found = check_bags(bags, sink, topic=topic, calibration=calibration, settings=settings)
     if as_json:
-        emit_json({"healthy": found.is_healthy} | asdict(found))
+        emit_json({"verdict": found.verdict} | asdict(found))
     else:
         print_health(found)
-    raise typer.Exit(int(ExitCode.DONE if found.is_healthy else ExitCode.LIMITS_MISSED))
+    codes = {"healthy": ExitCode.DONE, "not_healthy": ExitCode.LIMITS_MISSED, "inconclusive": ExitCode.INCONCLUSIVE}
+    raise typer.Exit(int(codes[found.verdict]))
 
 
 @app.command("convert")
@@ -112,7 +113,7 @@ def extract(
     stamps: Annotated[
         Literal["header", "log"], typer.Option("--stamps", help="Instants: of the headers, or the bag's own times.")
     ] = "header",
-    every: Annotated[int, typer.Option("--every", min=1, help="Take every so manieth picture.")] = 1,
+    every: Annotated[int, typer.Option("--every", min=1, help="Take every N-th picture only.")] = 1,
     limit: Annotated[int | None, typer.Option("--limit", min=1, help="Take at most so many pictures.")] = None,
     force: Force = False,
     as_json: Json = False,

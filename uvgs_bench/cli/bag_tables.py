@@ -10,6 +10,11 @@ if TYPE_CHECKING:
     from uvgs_bench.sessions.bag_stamps import StampSummary
 
 _LEVELS = {"problem": "[bold red]problem[/]", "warning": "[yellow]warning[/]"}
+_VERDICTS = {
+    "healthy": "[bold green]HEALTHY[/]",
+    "not_healthy": "[bold red]NOT HEALTHY[/]",
+    "inconclusive": "[bold yellow]INCONCLUSIVE[/]",
+}
 
 
 def print_info(found: BagInfo) -> None:
@@ -57,8 +62,8 @@ def print_health(found: BagHealth) -> None:
         out.print(f"{_LEVELS[finding.level]} {where}{escape(finding.text)}", soft_wrap=True)
     problems = sum(finding.level == "problem" for finding in found.findings)
     counts = f"{_counted(problems, 'problem')}, {_counted(len(found.findings) - problems, 'warning')}"
-    word = "[bold green]HEALTHY[/]" if found.is_healthy else "[bold red]NOT HEALTHY[/]"
-    out.print(f"{word}: {_counted(found.messages, 'message')}, {counts}")
+    because = "no message carries a stamp; " if found.verdict == "inconclusive" else ""
+    out.print(f"{_VERDICTS[found.verdict]}: {because}{_counted(found.messages, 'message')}, {counts}", soft_wrap=True)
 
 
 def _stamps(run: StampSummary) -> str:

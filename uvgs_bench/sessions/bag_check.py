@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop import astrobee
@@ -52,9 +52,11 @@ class BagHealth:
     findings: tuple[Finding, ...]
 
     @property
-    def is_healthy(self) -> bool:
-        """Whether there is no problem; warnings may be there."""
-        return all(finding.level != "problem" for finding in self.findings)
+    def verdict(self) -> Literal["healthy", "not_healthy", "inconclusive"]:
+        """Whether there is a problem; warnings may be there. Inconclusive when no message carries a stamp."""
+        if any(finding.level == "problem" for finding in self.findings):
+            return "not_healthy"
+        return "healthy" if self.stamps else "inconclusive"
 
 
 def check_bags(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack
@@ -16,6 +17,7 @@ from uvgs_bench.interop.bags import open_bags
 from uvgs_bench.interop.message_migration import Migration
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted
 from uvgs_bench.sessions.interruption import check_interruption
+from uvgs_bench.units import NS_PER_S
 
 if TYPE_CHECKING:
     from uvgs_bench.interop.bag_file import BagFile, BagMessage
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 STAGE = "convert"
 _TELL_EVERY = 50
+# By whether it is ROS 2: first instant its formats have no place for, ns.
+_LATEST_NS = {False: NS_PER_S * 2**32, True: 2**63}
 # By ending of the target: format, and what may be asked of its compression.
 _TARGETS = {
     ".bag": ("ROS 1", ("none", "bz2", "lz4")),
@@ -182,33 +186,41 @@ class _Writing:
 
     def write(self, message: BagMessage) -> None:
         """Write a message, or leave it out when its type has no form in the target."""
-        channel, file = message.channel, message.file
+        channel = message.channel
         if channel in self._refused:
             return
-        is_same = (channel.wire == "cdr") == self._is_ros2
         try:
-            raw: Any = message.raw
-            if not is_same:
-                migration = self._migration(file)
-                fitted = migration.message(message.decode(), channel.msgtype)
-                name = migration.name(channel.msgtype)
-                store = migration.store
-                raw = store.serialize_cdr(fitted, name) if self._is_ros2 else store.serialize_ros1(fitted, name)
-            connection = self._connection(file, channel, is_same)
-            if not 0 <= message.log_ns < (1 << (63 if self._is_ros2 else 32)) * (1 if self._is_ros2 else 10**9):
-                raise FormatError(f"has no place for the instant {message.log_ns} ns", channel.topic)
-            self._writer.write(connection, message.log_ns, raw)
-        except OSError:
-            raise
+            connection, raw = self._fitted(message)
         except Exception as error:  # definitions of others may be anything
             self._refused.add(channel)
             self.remarks.append(f"{channel.topic} ({channel.msgtype}) is left out from here on: {one_line(error)}")
             return
+        try:
+            self._writer.write(connection, message.log_ns, raw)
+        except sqlite3.Error as error:
+            raise UvgsError(f"{self._path.name}: cannot be written: {one_line(error)}") from None
         self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
+
+    def _fitted(self, message: BagMessage) -> tuple[Any, Any]:
+        """Where a message goes, and its bytes there."""
+        channel, file = message.channel, message.file
+        if not 0 <= message.log_ns < _LATEST_NS[self._is_ros2]:
+            raise FormatError(f"has no place for the instant {message.log_ns} ns", channel.topic)
+        is_same = (channel.wire == "cdr") == self._is_ros2
+        raw: Any = message.raw
+        if not is_same:
+            migration = self._migration(file)
+            fitted = migration.message(message.decode(), channel.msgtype)
+            name, store = migration.name(channel.msgtype), migration.store
+            raw = store.serialize_cdr(fitted, name) if self._is_ros2 else store.serialize_ros1(fitted, name)
+        return self._connection(file, channel, is_same), raw
 
     def close(self) -> Path:
         """Finish it; the answer is the file or folder to move."""
-        self._writer.close()
+        try:
+            self._writer.close()
+        except sqlite3.Error as error:
+            raise UvgsError(f"{self._path.name}: cannot be written: {one_line(error)}") from None
         if not self._suffix or not self._is_ros2:
             return self._path
         folder = self._path.with_suffix("")

@@ -54,7 +54,7 @@ def extract_pictures(
         source: The open source.
         folder: Where to; created.
         sink: Told about progress and what is wrong.
-        every: Take every so manieth picture.
+        every: Take every n-th picture only.
         limit: Take at most so many; all when None.
         force: Whether an earlier extraction in the folder is replaced.
 

@@ -179,6 +179,31 @@ def test_rows_that_are_missing_in_a_database_are_named(tmp_path):
         assert "1 messages belong to topics it does not name; left out" in bags.remarks[0]
 
 
+def test_mcap_of_ros_1_is_read_and_what_is_not_ros_is_named(tmp_path):
+    writer_module = pytest.importorskip("mcap.writer")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    text, _ = store.generate_msgdef("sensor_msgs/msg/Image")
+    with open_bags([write_bag(tmp_path, "ros1", notes())]) as bags:
+        raw = [(m.log_ns, m.raw) for m in bags.messages(["/cam/image_raw"])]
+    path = tmp_path / "ros1.mcap"
+    with path.open("wb") as file:
+        writer = writer_module.Writer(file)
+        writer.start(profile="ros1", library="test")
+        schema = writer.register_schema("sensor_msgs/Image", "ros1msg", text.encode())
+        ours = writer.register_channel("/cam/image_raw", "ros1", schema)
+        other = writer.register_channel("/other", "protobuf", writer.register_schema("x.Y", "protobuf", b"?"))
+        for log_ns, payload in raw:
+            writer.add_message(ours, log_ns, payload, log_ns)
+            writer.add_message(other, log_ns, b"not for us", log_ns)
+        writer.finish()
+    with open_bags([path]) as bags:
+        assert pictures(bags) == list(range(8))
+        assert bags.counts == {"/cam/image_raw": 8}
+        assert any("topic /other holds protobuf messages, not ROS ones" in remark for remark in bags.remarks)
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
