@@ -39,6 +39,7 @@ COMMANDS: dict[str, str] = {
     "study": "uvgs_bench.cli.study:study",
     "plan": "uvgs_bench.cli.plan:plan",
     "follow": "uvgs_bench.cli.follow:follow",
+    "fuse": "uvgs_bench.cli.fuse:fuse",
     "doctor": "uvgs_bench.cli.doctor:doctor",
 }
 

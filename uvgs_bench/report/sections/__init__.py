@@ -52,4 +52,17 @@ FOLLOW_SECTIONS: dict[str, str] = {
 }
 """The same for follow sessions."""
 
-__all__ = ["CALIBRATION_SECTIONS", "FOLLOW_SECTIONS", "FORECAST_SECTIONS", "MEASUREMENT_SECTIONS", "SECTIONS"]
+FUSION_SECTIONS: dict[str, str] = {
+    key: f"uvgs_bench.report.sections.fusion_{key}:build"
+    for key in ("ways", "path", "pauses", "consistency", "fit", "definitions")
+}
+"""The same for fusions."""
+
+__all__ = [
+    "CALIBRATION_SECTIONS",
+    "FOLLOW_SECTIONS",
+    "FORECAST_SECTIONS",
+    "FUSION_SECTIONS",
+    "MEASUREMENT_SECTIONS",
+    "SECTIONS",
+]
