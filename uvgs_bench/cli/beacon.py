@@ -8,11 +8,13 @@ from typing import Annotated
 import typer
 
 from uvgs_bench.cli.beacon_measure import measure
+from uvgs_bench.cli.beacon_pair import pair
 from uvgs_bench.cli.options import Force, Json
 from uvgs_bench.errors import ConfigError
 
 app = typer.Typer(help="Measure a beacon, show it, and check whether it can be told apart.", no_args_is_help=True)
 app.command("measure")(measure)
+app.command("pair")(pair)
 _File = Annotated[Path, typer.Argument(help="Beacon file, TOML.")]
 
 
