@@ -30,6 +30,9 @@ def follow(
         bool, typer.Option("--realtime", help="Keep pace with the wall clock; otherwise time is simulated.")
     ] = False,
     bench: BenchFile = DEFAULT_BENCH,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Sensor parameters in place of the bench's, TOML.")
+    ] = None,
     seed: Seed = 0,
     out: Annotated[Path, typer.Option("--out", help="Folder the session's own folder is made in.")] = Path("reports"),
     no_report: Annotated[bool, typer.Option("--no-report", help="Keep the record, make no report.")] = False,
@@ -48,7 +51,7 @@ def follow(
     from uvgs_bench.sessions.follow_setup import read_follow_setup
 
     faults = parse_faults(inject)
-    set_up = read_follow_setup(leader_of(scenario, bench), bench, faults, seed)
+    set_up = read_follow_setup(leader_of(scenario, bench), bench, faults, seed, config)
     with progress_sink(quiet=quiet) as sink:
         if plant == "gantry":
             if realtime:

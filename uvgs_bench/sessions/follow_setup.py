@@ -112,7 +112,11 @@ class FollowWorld:
 
 
 def read_follow_setup(
-    scenario: FollowScenario, bench: Path, faults: FollowFaults | None = None, seed: int = 0
+    scenario: FollowScenario,
+    bench: Path,
+    faults: FollowFaults | None = None,
+    seed: int = 0,
+    sensor: Path | None = None,
 ) -> FollowSetUp:
     """Read and check everything a follow session depends on.
 
@@ -121,9 +125,10 @@ def read_follow_setup(
         bench: The bench file.
         faults: What goes wrong on purpose.
         seed: Seed of everything random.
+        sensor: Settings of the sensor in place of the bench's.
 
     Returns:
-        The set-up.
+        The set-up; no more captures a second than the sensor's ``rate_hz``.
 
     Raises:
         ConfigError: A file is missing or says something that cannot be meant.
@@ -132,7 +137,10 @@ def read_follow_setup(
     camera_file = Path(described.camera_file)
     if not camera_file.exists():
         raise UnreadableDocument("no camera calibration: make one with uvgs calibrate", str(camera_file))
-    config = UvgsConfig() if described.sensor_file is None else read_document(Path(described.sensor_file), UvgsConfig)
+    file = described.sensor_file if sensor is None else sensor
+    config = UvgsConfig() if file is None else read_document(Path(file), UvgsConfig)
+    if 0.0 < config.rate_hz < scenario.rate_hz:
+        scenario = replace(scenario, rate_hz=config.rate_hz)
     return FollowSetUp(
         scenario=scenario,
         faults=FollowFaults() if faults is None else faults,
