@@ -155,6 +155,9 @@ def go(sources, plan=None, **more):
 
 def test_sources_of_one_name_get_files_of_their_own(fake, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for name in "abz":
+        Path(name).mkdir()
+        (Path(name) / "run.bag").write_text(name)
     results = go(["bag:a/run.bag", "bag:b/run.bag", "b/run.mcap", "rtsp://host/cam one"])
     assert [result.outputs[0] for result in results[:3]] == ["p/run.csv", "p/b_run.csv", "p/b_run_2.csv"]
     assert len({result.outputs for result in results}) == 4
@@ -190,8 +193,20 @@ def test_what_changed_is_done_again_and_nothing_else(fake, tmp_path, monkeypatch
     assert len(fake) == 7
 
 
+def test_what_may_be_other_pictures_the_next_time_is_never_done(fake, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bench.toml").write_text("")
+    sources = ["uvc:0", "sim:bench.toml?count=3", "rtsp://host/cam"]
+    assert [source_key(source, BatchPlan((), (("--out", "p/{}.csv"),))) for source in sources] == [""] * 3
+    for _ in range(2):
+        assert [result.was_done for result in go(sources)] == [False] * 3
+    assert len(fake) == 6
+
+
 def test_failures_are_tried_again_and_their_files_replaced_but_no_others(fake, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for name in ("bad.bag", "mine.bag", "good.bag"):
+        Path(name).write_text(name)
     Path("p").mkdir()
     Path("p/mine.csv").write_text("mine")
     results = go(["bad.bag", "mine.bag", "good.bag"])
@@ -203,6 +218,8 @@ def test_failures_are_tried_again_and_their_files_replaced_but_no_others(fake, t
 
 def test_a_torn_last_line_is_dropped_and_other_files_are_refused(fake, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    Path("a.bag").write_text("a")
+    Path("b.bag").write_text("b")
     go(["a.bag", "b.bag"])
     listed = Path("p") / RESULTS_FILE
     listed.write_text(listed.read_text()[:-20])

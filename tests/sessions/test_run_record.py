@@ -23,7 +23,7 @@ from uvgs_bench.errors import CaptureError
 from uvgs_bench.interop.bag_writer import IMAGE_TOPIC
 from uvgs_bench.interop.bags import open_bags
 from uvgs_bench.sensor import Capture
-from uvgs_bench.sessions.replay import is_recording, open_recording
+from uvgs_bench.sessions.replay import find_recording
 from uvgs_bench.store.beacons import write_beacon
 from uvgs_bench.store.calibrations import write_calibration
 
@@ -101,7 +101,7 @@ def test_depth_mosaic_and_names_of_pictures_are_kept(pictures, tmp_path):
     source = f"images:{pictures / 'deep'}?bayer=rggb&bits=12"
     a, b, record = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "r.mcap"
     assert uvgs(source, *one(pictures), "--out", a, "--record", record, "--compression", "none") == 0
-    recording = open_recording(record)
+    recording = find_recording(record)
     captures = list(recording.captures())
     recording.close()
     assert [(c.bayer, c.full_scale_dn, c.source, c.index) for c in captures] == [
@@ -162,8 +162,10 @@ def test_ctrl_c_leaves_a_record_of_what_was_answered(hidden, tmp_path, monkeypat
 def test_what_is_no_record_is_said(pictures, tmp_path, capfd):
     bag = tmp_path / "poses.mcap"
     assert uvgs(f"images:{pictures / 'deep'}", *one(pictures), "--out", bag) == 0
-    assert not is_recording(bag)
-    assert not is_recording(tmp_path / "missing.mcap")
+    assert find_recording(bag) is None
+    assert find_recording(tmp_path / "missing.mcap") is None
+    (tmp_path / "foreign.mcap").write_text("foreign")
+    assert find_recording(tmp_path / "foreign.mcap") is None
     capfd.readouterr()
     assert uvgs(bag, "--out", tmp_path / "b.csv", "--quiet") in (2, 4)
     assert "Traceback" not in capfd.readouterr().err
@@ -205,16 +207,16 @@ def test_a_record_that_was_cut_gives_what_is_whole(pictures, tmp_path):
     record, cut = tmp_path / "r.mcap", tmp_path / "cut.mcap"
     assert uvgs(f"images:{pictures / 'deep'}", *one(pictures), "--record", record, "--compression", "none") == 0
     payload = record.read_bytes()
-    recording = open_recording(record)
+    recording = find_recording(record)
     whole = [(c.t_ns, c.source, c.image.tobytes()) for c in recording.captures()]
     recording.close()
     counts = []
     for share in (0.02, 0.3, 0.6, 0.9, 0.999):
         cut.write_bytes(payload[: int(share * len(payload))])
-        if not is_recording(cut):
+        recording = find_recording(cut)
+        if recording is None:
             counts.append(-1)
             continue
-        recording = open_recording(cut)
         found = [(c.t_ns, c.source, c.image.tobytes()) for c in recording.captures()]
         assert recording.remarks
         recording.close()

@@ -37,18 +37,19 @@ def recording_of(source: str, stack: ExitStack, sink: EventSink) -> Recording | 
     """
     path = Path(source.removeprefix("bag:"))
     if path.suffix != ".mcap":
+        # Most sources: nothing is loaded to find out.
         return None
     from uvgs_bench.sessions.events import Remark
     from uvgs_bench.sessions.provenance import program_versions
-    from uvgs_bench.sessions.replay import is_recording, open_recording
+    from uvgs_bench.sessions.replay import find_recording
 
-    if not is_recording(path):
+    recording = find_recording(path)
+    if recording is None:
         return None
-    recording = open_recording(path)
     stack.callback(recording.close)
     versions = recording.setup.versions
     sink(Remark("info", f"{path}: a record of {recording.setup.source} by {versions.get('uvgs_bench', 'unknown')}"))
-    now = program_versions()
+    now = {name: version for name, version in program_versions().items() if name != "system"}
     other = [f"{name} {versions.get(name, 'none')}, now {now[name]}" for name in now if versions.get(name) != now[name]]
     if other:
         sink(Remark("warning", f"{path}: the last digits of poses may differ, it was made with {'; '.join(other)}"))

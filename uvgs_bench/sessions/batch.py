@@ -1,8 +1,8 @@
 """Many sources through ``uvgs run``, one process each: what is done is not done again, and a bad one stops no other.
 
-A source is done when it was solved before with the same options, documents, file sizes and times. Each runs as a
-command of its own, here or where a Dask scheduler puts it: no memory, thread or crash of one reaches another. On a
-cluster the files must be at the same paths on every machine.
+A source is done when it was solved before with the same options, documents, file sizes and times; cameras and simulated
+benches are never done. Each runs as a command of its own, here or where a Dask scheduler puts it: no memory, thread or
+crash of one reaches another. On a cluster the files must be at the same paths on every machine.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class SourceResult:
 
     Args:
         source: As in the list.
-        key: What it was solved with, as a hash.
+        key: What it was solved with, as a hash; empty when it may be other pictures the next time.
         outputs: Files and folders that were asked for.
         written: Files that were written.
         code: Exit code of its run.
@@ -165,7 +165,7 @@ def run_batch(
     results: dict[str, SourceResult] = {}
     for source, key in keys.items():
         known = before.done.get(key)
-        if known is not None and not force and all(Path(name).exists() for name in known.written):
+        if known is not None and key and not force and all(Path(name).exists() for name in known.written):
             results[source] = known
     missing = [source for source in sources if source not in results]
     taken = {name for result in results.values() for name in result.outputs}
@@ -225,7 +225,17 @@ def run_source(words: Sequence[str], folder: str) -> dict[str, Any]:
 
 
 def source_key(source: str, plan: BatchPlan) -> str:
-    """What the poses of a source depend on, as a hash: its files by size and time, options, documents, version."""
+    """What the poses of a source depend on, as a hash: its files by size and time, options, documents, version.
+
+    Args:
+        source: The source.
+        plan: What is done with it.
+
+    Returns:
+        The hash; empty for a camera, or a bench that names further files.
+    """
+    if source.startswith(("sim:", "sim-board:")):
+        return ""
     target = _SCHEME.sub("", source, count=1).partition("?")[0]
     files: list[tuple[str, int, int]] = []
     for text in dict.fromkeys((target, *target.split(","))):
@@ -236,6 +246,8 @@ def source_key(source: str, plan: BatchPlan) -> str:
             for file in inside
             if text and file.is_file() and (found := file.stat())
         ]
+    if not files:
+        return ""
     contents = []
     for name in plan.documents:
         path = Path(name)

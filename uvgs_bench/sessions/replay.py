@@ -34,7 +34,7 @@ class Recording:
         self._bags = bags
         first = next(iter(bags.messages((SETUP_TOPIC,))), None)
         if first is None:
-            raise FormatError(f"holds no {SETUP_TOPIC}, expected a file of --record", str(path))
+            raise FormatError(f"holds no message of {SETUP_TOPIC}, expected a file of --record", str(path))
         self.setup: RecordSetup = setup_from_text(first.decode().data, str(path))
         self._flags: dict[int, tuple[str, ...]] = {}
         self._commands: deque[str | None] = deque()
@@ -147,35 +147,32 @@ class RecordedExposure:
         return self._exposure_s
 
 
-def is_recording(path: Path) -> bool:
-    """Whether a file is a record that can be solved again; False also when it cannot be read."""
-    if path.suffix != ".mcap" or not path.is_file():
-        return False
-    try:
-        with open_bags([path]) as bags:
-            return SETUP_TOPIC in bags.counts
-    except FormatError:
-        return False
-
-
-def open_recording(path: Path) -> Recording:
-    """Open a record.
+def find_recording(path: Path) -> Recording | None:
+    """Open a record if a file is one.
 
     Args:
-        path: A file of ``--record``.
+        path: Any path.
 
     Returns:
-        It; to be closed.
+        The record, to be closed; None for a file that is something else or cannot be read at all.
 
     Raises:
-        FormatError: It cannot be read, or is no record.
+        FormatError: It is a record whose setup cannot be read.
     """
-    bags = open_bags([path])
+    if path.suffix != ".mcap" or not path.is_file():
+        return None
     try:
-        return Recording(path, bags)
+        bags = open_bags([path])
+    except FormatError:
+        return None
+    try:
+        found = Recording(path, bags) if SETUP_TOPIC in bags.counts else None
     except BaseException:
         bags.close()
         raise
+    if found is None:
+        bags.close()
+    return found
 
 
 def _capture(message: Any, said: dict[str, Any], path: str) -> Capture:
