@@ -57,9 +57,10 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         return None
     shown = _map_of(table, judgement.in_sample_table)
     text = (
-        "Each mark is a station; its colour and size say how long the mean of its position errors is, the line from it "
-        f"which way that mean points, {shown.times:g} times as long as true. Discs judge; squares fitted the "
-        "registration, so their errors are flattered. A pattern, not a speckle, points at a cause: see the diagnosis."
+        "Each mark is a station, or a capture in motion; its colour and size say how long the mean of its position "
+        f"errors is, the line from it which way that mean points, {shown.times:g} times as long as true. Discs judge; "
+        "squares fitted the registration, so their errors are flattered. A pattern, not a speckle, points at a cause: "
+        "see the diagnosis."
     )
     figures = (
         _view_3d(shown),
