@@ -123,7 +123,9 @@ def run(
     images: Annotated[bool, typer.Option("--images", help="Bags get the pictures.", rich_help_panel=_OUTPUT)] = False,
     annotated: Annotated[
         bool,
-        typer.Option("--annotated", help="Bags get pictures of what the sensor saw.", rich_help_panel=_OUTPUT),
+        typer.Option(
+            "--annotated", help="Bags get pictures of what the sensor saw; some 20 ms each.", rich_help_panel=_OUTPUT
+        ),
     ] = False,
     astrobee: Annotated[
         Literal["v1", "v2"] | None,
