@@ -17,7 +17,9 @@ from uvgs_bench.sessions.bench_setup import SetUp, open_rig, read_setup, read_se
 from uvgs_bench.sessions.early_log import EarlyLog
 from uvgs_bench.sessions.events import Event, Remark, StageAdvanced
 from uvgs_bench.sessions.mission_benchmark import handover_quality
+from uvgs_bench.sessions.stream import run_captures
 from uvgs_bench.store.judging import judge_run
+from uvgs_bench.store.observations import observations_from_run
 from uvgs_bench.store.run import Run, read_run
 
 pytestmark = pytest.mark.opencv
@@ -177,6 +179,21 @@ def test_no_pose_is_of_a_wrong_beacon_and_hand_overs_stay_within_their_doubt(
     assert list(dict.fromkeys(active)) == ["tetra_blue", "tetra_red", "tetra_green", "tetra_blue_2"]
     switched = [sample for sample in run.samples if sample.switched]
     assert len(switched) >= 3
+
+
+def test_lights_of_other_beacons_are_not_taken_for_those_of_the_frame(
+    four: tuple[Run, SimulatedBench, list[Event]],
+) -> None:
+    run, _, _ = four
+    assert run.has_several_beacons
+    obs = observations_from_run(run)
+    is_own = np.array([sample.outcome.beacon == "tetra_blue" for sample in run.samples])
+    assert np.isfinite(obs.led_px[is_own & obs.is_solved]).all()
+    assert np.isnan(obs.led_px[~is_own]).all()
+    # The pose of every one is in the frame of the first.
+    assert obs.is_solved[~is_own].sum() > 20
+    with pytest.raises(RunError, match="several beacons"):
+        run_captures(run)
 
 
 def test_corrections_take_away_what_the_bench_file_gets_wrong(four: tuple[Run, SimulatedBench, list[Event]]) -> None:

@@ -35,6 +35,7 @@ from uvgs_bench.store.bench import read_bench
 from uvgs_bench.store.calibrations import read_calibration
 from uvgs_bench.store.documents import read_document
 from uvgs_bench.store.run import Run, RunManifest, RunWriter
+from uvgs_bench.store.run_types import SETUP_OTHER_BEACON
 from uvgs_bench.store.run_writer import (
     SETUP_BEACON,
     SETUP_BENCH,
@@ -154,7 +155,8 @@ def read_setup(
     calibration, beacon = read_calibration(camera_file), read_beacon(sources[SETUP_BEACON])
     others = tuple(read_beacon(Path(other.file)) for other in described.others)
     sources |= {
-        f"beacon_{other.name}.toml": Path(place.file) for place, other in zip(described.others, others, strict=True)
+        f"{SETUP_OTHER_BEACON}{other.name}.toml": Path(place.file)
+        for place, other in zip(described.others, others, strict=True)
     }
     check_group(described, planned, (beacon, *others), str(procedure))
     files = {name: _content(path) for name, path in sources.items()}

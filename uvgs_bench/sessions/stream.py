@@ -217,8 +217,14 @@ def run_captures(run: Run) -> list[tuple[int, str]]:
         Position in ``run.samples`` and picture file of each, in order.
 
     Raises:
-        RunError: None is kept.
+        RunError: None is kept, or the run was taken of several beacons.
     """
+    if run.has_several_beacons:
+        raise RunError(
+            "was taken of several beacons: which one a picture shows was known from the gantry alone, so its pictures "
+            "are not solved again",
+            str(run.path),
+        )
     kept = [(i, sample.capture_file) for i, sample in enumerate(run.samples) if sample.capture_file]
     if not kept:
         raise RunError(

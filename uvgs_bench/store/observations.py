@@ -50,7 +50,9 @@ def observations_from_run(run: Run) -> Observations:
         if sample.exposure_s is not None:
             exposure_s[i] = sample.exposure_s
         seen = sample.outcome.led_px
-        if seen is not None and seen.shape == led_px.shape[1:]:
+        # Of a group only the pose is in the frame of the run's beacon; the lights are those of another one.
+        is_own = not run.has_several_beacons or sample.outcome.beacon == run.beacon.name
+        if seen is not None and is_own and seen.shape == led_px.shape[1:]:
             led_px[i] = seen
         if isinstance(sample.outcome, PoseEstimate):
             R_cb[i] = sample.outcome.camera_from_beacon.R

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from uvgs_bench.beacon.geometry import Beacon
     from uvgs_bench.camera.calibration import Calibration
 
+SETUP_OTHER_BEACON = "beacon_"
+"""How the copies of a group's other beacons begin."""
+
 Ending = Literal["completed", "interrupted", "failed", ""]
 
 
@@ -205,6 +208,11 @@ class Run:
     def is_complete(self) -> bool:
         """Whether every planned station was taken and the run was closed."""
         return self.ended == "completed"
+
+    @property
+    def has_several_beacons(self) -> bool:
+        """Whether it was taken of a group; the poses of all are in the frame of ``beacon``, their pixels are not."""
+        return any(name.startswith(SETUP_OTHER_BEACON) for name in self.manifest.hashes)
 
     def committed_stations(self) -> frozenset[int]:
         """Stations of which every planned capture is on disk."""

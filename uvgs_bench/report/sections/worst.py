@@ -72,7 +72,9 @@ def build(run: Run, judgement: Judgement) -> Section | None:
         Table("The held-out captures with the largest position errors.", columns, tuple(_row(w) for w in worst))
     ]
     pictures = tuple(p for w in worst if (p := _picture(run, w)) is not None)
-    if pictures:
+    if run.has_several_beacons:
+        blocks.append(Paragraph("No pictures: in a group of beacons the lights are not those of the frame's beacon."))
+    elif pictures:
         blocks.append(Paragraph("Circles: LEDs as observed. Crosses: where the registration expects them."))
         blocks.append(Gallery(pictures))
     else:
@@ -94,7 +96,7 @@ def _row(w: _Worst) -> tuple[Cell, ...]:
 
 
 def _picture(run: Run, w: _Worst) -> Picture | None:
-    if not w.sample.capture_file:
+    if not w.sample.capture_file or run.has_several_beacons:
         return None
     image = read_picture(run.path / w.sample.capture_file)
     if image is None:
