@@ -95,7 +95,7 @@ def node(
             tuner.apply()
             annotate = {n: partial(draw_debug_image, uvgs=u) for n, u in sensors.items()} if annotated else {}
             lights = {lights.name: lights for lights in beacons}
-            contents = BagContents(calibration.lens, lights, astrobee, annotate)
+            contents = BagContents(calibration.lens, lights, astrobee, annotate=annotate)
             messages = RosMessages(door, version=astrobee, camera_frame=frame)
             outlet: Outlet = PoseFile(BagPoses(messages, contents))
             outlets = Outlets([outlet if rate_hz is None else RateLimited(outlet, rate_hz)], sink)
