@@ -12,8 +12,10 @@ from uvgs_bench.cli.options import Json, Seed
 
 def pair(
     poses: Annotated[Path, typer.Argument(help="Poses of uvgs run with two beacons, CSV.")],
-    first: Annotated[str, typer.Option("--first", help="Beacon whose frame is taken.  [default: the file's]")] = "",
-    second: Annotated[str, typer.Option("--second", help="The other beacon.  [default: the file's]")] = "",
+    first: Annotated[
+        str, typer.Option("--first", help="Beacon whose frame is taken.", show_default="the file's first")
+    ] = "",
+    second: Annotated[str, typer.Option("--second", help="The other beacon.", show_default="the file's other")] = "",
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:

@@ -35,13 +35,16 @@ def plan(
     ] = None,
     noise_px: Annotated[
         float | None,
-        typer.Option("--noise-px", help="Noise of a centroid, anew in every capture, px.  [default: 0.05, or learned]"),
+        typer.Option(
+            "--noise-px", help="Noise of a centroid, anew in every capture, px.", show_default="0.05, or learned"
+        ),
     ] = None,
     place_noise_px: Annotated[
         float | None,
         typer.Option(
             "--place-noise-px",
-            help="Error of a centroid that captures of a place share, px.  [default: 0.03, or learned]",
+            help="Error of a centroid that captures of a place share, px.",
+            show_default="0.03, or learned",
         ),
     ] = None,
     out_file: Annotated[Path | None, typer.Option("--out", help="Write the procedure, for uvgs gantry-sweep.")] = None,

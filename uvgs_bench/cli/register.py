@@ -39,7 +39,7 @@ def register(
         Path | None, typer.Option("--link", help="With --board: where the beacon sits on the board, as measured.")
     ] = None,
     board_run: Annotated[
-        Path | None, typer.Option("--board-run", help="With --board: run whose pictures show it.  [default: RUN]")
+        Path | None, typer.Option("--board-run", help="With --board: run whose pictures show it.", show_default="RUN")
     ] = None,
     out_file: Annotated[Path | None, typer.Option("--out", help="Write the registration as TOML.")] = None,
     force: Force = False,
