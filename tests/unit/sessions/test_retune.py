@@ -39,7 +39,7 @@ def test_a_change_waits_for_the_next_capture() -> None:
     ],
 )
 def test_a_wrong_value_is_refused_and_nothing_changes(changes: dict[str, object], reason: str) -> None:
-    sensors, tuner = retuner()
+    _, tuner = retuner()
     refusal = tuner.ask(changes)
     assert refusal is not None
     assert reason in refusal
