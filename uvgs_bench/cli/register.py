@@ -2,45 +2,25 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from uvgs_bench.cli.options import Force, IntervalSeed, Json
+from uvgs_bench.cli.registering import BoardFile, BoardRun, LinkFile, Terms, judge_registered
 from uvgs_bench.errors import RegistrationError
 
 if TYPE_CHECKING:
     from uvgs_bench.accuracy import Judgement, Registration
-    from uvgs_bench.accuracy.independent import Independent
-    from uvgs_bench.store.run_types import Run
-
-
-class Term(StrEnum):
-    """What may be fitted beside the two poses."""
-
-    AXIS_SCALE = "axis_scale"
-    SQUARENESS = "squareness"
-    TIME_OFFSET = "time_offset"
-    TIME_RATE = "time_rate"
 
 
 def register(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    terms: Annotated[
-        list[Term] | None,
-        typer.Option("--terms", help="Fit this, too, if the data ask for it; may be given several times."),
-    ] = None,
-    board_file: Annotated[
-        Path | None, typer.Option("--board", help="Register by this board on the carriage, not by the sensor's poses.")
-    ] = None,
-    link_file: Annotated[
-        Path | None, typer.Option("--link", help="With --board: where the beacon sits on the board, as measured.")
-    ] = None,
-    board_run: Annotated[
-        Path | None, typer.Option("--board-run", help="With --board: run whose pictures show it.", show_default="RUN")
-    ] = None,
+    terms: Terms = None,
+    board_file: BoardFile = None,
+    link_file: LinkFile = None,
+    board_run: BoardRun = None,
     out_file: Annotated[Path | None, typer.Option("--out", help="Write the registration as TOML.")] = None,
     force: Force = False,
     seed: IntervalSeed = None,
@@ -48,14 +28,11 @@ def register(
 ) -> None:
     """Register camera, gantry and beacon of a run; say what is seen, what is not, and what errors remain."""
     from uvgs_bench.cli.console import emit_json, print_path
-    from uvgs_bench.store.judging import judge_run
     from uvgs_bench.store.registrations import registration_tables, write_registration
     from uvgs_bench.store.run import read_run
 
     found = read_run(run)
-    asked = tuple(term.value for term in terms or ())
-    independent = _by_board(found, board_run or run, board_file, link_file, asked)
-    judgement = judge_run(found, seed=seed, terms=asked, independent=independent)
+    judgement = judge_registered(found, seed, terms, board_file, link_file, board_run)
     registration = judgement.registration
     if registration is None:
         raise RegistrationError(next(alert.text for alert in judgement.alerts if alert.level == "error"))
@@ -71,27 +48,6 @@ def register(
     _print_registration(judgement)
     if out_file is not None:
         print_path("written", out_file)
-
-
-def _by_board(
-    judged: Run, board_run: Path, board_file: Path | None, link_file: Path | None, terms: tuple[str, ...]
-) -> Independent | None:
-    """The registration by a board when one was asked for. Raises ConfigError when half of it is missing."""
-    from uvgs_bench.errors import ConfigError
-    from uvgs_bench.sessions.register import register_by_board
-    from uvgs_bench.store.board_links import read_board_link
-    from uvgs_bench.store.boards import read_board
-    from uvgs_bench.store.run import read_run
-
-    if board_file is None:
-        if link_file is not None or board_run != judged.path:
-            raise ConfigError("needs --board, the board that rides the carriage", key="--link --board-run")
-        return None
-    if link_file is None:
-        raise ConfigError("needs --link, where the beacon sits on the board and who measured it", key="--board")
-    board = read_board(board_file)
-    link = read_board_link(link_file, board.name, judged.beacon.name)
-    return register_by_board(read_run(board_run), board, link, judged=judged, terms=terms)
 
 
 def _plain(value: Any) -> dict[str, Any]:
