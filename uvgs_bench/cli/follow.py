@@ -22,7 +22,9 @@ def follow(
             help="square, slow_square, granite_square, line, hold, multi, or a scenario or procedure file.",
         ),
     ] = "square",
-    plant: Annotated[str, typer.Option("--plant", help="What follows: flyer, gantry, or udp:HOST:PORT.")] = "flyer",
+    plant: Annotated[
+        str, typer.Option("--plant", help="What follows: flyer, gantry, udp:HOST:PORT, ros1:POSE_TOPIC or ros2:...")
+    ] = "flyer",
     inject: Annotated[
         str, typer.Option("--inject", help="Faults, like loss=2s@10s,latency=80ms,drop=0.05,cpu=0.5.")
     ] = "",

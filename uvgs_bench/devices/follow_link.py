@@ -72,7 +72,7 @@ def open_follow_link(spec: str, start: Pose) -> FollowLink:
     """Open a follower outside this program.
 
     Args:
-        spec: ``udp:HOST:PORT``.
+        spec: ``udp:HOST:PORT``, ``ros1:POSE_TOPIC`` or ``ros2:POSE_TOPIC``.
         start: Where the session takes it to be at its first answer: ``world_from_body``.
 
     Returns:
@@ -82,9 +82,16 @@ def open_follow_link(spec: str, start: Pose) -> FollowLink:
         ConfigError: The spec means nothing.
         GantryError: The address cannot be used.
     """
+    if spec.startswith(("ros1:", "ros2:")):
+        from uvgs_bench.devices.ros_link import RosLink
+
+        return RosLink(spec, start)
     host, _, port = spec.removeprefix(UDP).rpartition(":")
     if not spec.startswith(UDP) or not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ConfigError(f"unknown follower '{spec}', expected flyer, gantry or udp:HOST:PORT", key="--plant")
+        raise ConfigError(
+            f"unknown follower '{spec}', expected flyer, gantry, udp:HOST:PORT, ros1:POSE_TOPIC or ros2:POSE_TOPIC",
+            key="--plant",
+        )
     from uvgs_bench.devices.udp_link import UdpLink
 
     return UdpLink(host, int(port), start)
