@@ -16,6 +16,9 @@ import numpy as np
 from uvgs_bench.accuracy.clusters import TAIL, Clusters, Estimate, mean_squares, worth
 from uvgs_bench.geometry import FloatArray
 
+# Of a normal distribution, leaving ``TAIL`` at each end.
+_NORMAL = 1.959964
+
 
 @dataclass(frozen=True, slots=True)
 class MomentIntervals:
@@ -175,13 +178,19 @@ def _studentized(deviation: FloatArray, sigma: FloatArray) -> tuple[float, float
 def _log_interval(
     value: float, sigma: float, drawn: FloatArray, drawn_sigma: FloatArray, shared: float
 ) -> tuple[float, float]:
-    """Studentized interval of a positive figure on the logarithm; ``shared`` is a further standard deviation."""
+    """Studentized interval of a positive figure on the logarithm; ``shared`` is a further standard deviation.
+
+    The logarithm suits what scatters in proportion to the figure. What is shared does not, so it widens the ends by
+    itself: a doubt larger than the figure must not grow without bounds.
+    """
     if not value > 0.0:
         return 0.0, 0.0
     safe = np.maximum(drawn, 1e-300)
     q_low, q_high = _studentized(np.log(safe / value), drawn_sigma / safe)
-    total = float(np.hypot(sigma, shared)) / value
-    return float(value * np.exp(-q_high * total)), float(value * np.exp(min(-q_low * total, 50.0)))
+    own = sigma / value
+    low, high = float(value * np.exp(-q_high * own)), float(value * np.exp(min(-q_low * own, 50.0)))
+    reach = _NORMAL * shared
+    return value - float(np.hypot(value - low, reach)), value + float(np.hypot(high - value, reach))
 
 
 def _mean_radius(deviations: FloatArray, shared: FloatArray, S: int) -> float:

@@ -9,6 +9,7 @@ import typer
 
 from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, IntervalSeed, Json
+from uvgs_bench.cli.registering import BoardFile, BoardRun, LinkFile, Terms, judge_registered
 from uvgs_bench.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -25,18 +26,21 @@ def report(
     ] = None,
     force: Force = False,
     seed: IntervalSeed = None,
+    terms: Terms = None,
+    board_file: BoardFile = None,
+    link_file: LinkFile = None,
+    board_run: BoardRun = None,
     as_json: Json = False,
 ) -> None:
     """Judge a run and write its report; exit 0 limits met, 1 limits missed, 3 inconclusive."""
     compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, print_path
     from uvgs_bench.report import build_document, check_formats, write_document
-    from uvgs_bench.store.judging import judge_run
     from uvgs_bench.store.run import read_run
 
     names = check_formats(formats.split(","))
     found = read_run(run)
-    document = build_document(found, judge_run(found, seed=seed))
+    document = build_document(found, judge_registered(found, seed, terms, board_file, link_file, board_run))
     # In the run's own folder reports are derived from what lies beside them, so they are rebuilt without asking.
     is_own = out_folder is None or out_folder.resolve() == run.resolve()
     paths = write_document(document, out_folder or run, names, force=force or is_own)
