@@ -17,8 +17,8 @@ from uvgs_bench.navigation.states import PoseMeasurement, SensedPose
 
 gtsam = pytest.importorskip("gtsam", reason="the extra 'fusion' is not installed")
 
-BODY_FROM_CAMERA = Pose.exp((1.2, -1.2, 1.2, 0.1, 0.0, 0.05), "body", "camera")
-WORLD_FROM_BEACON = Pose.exp((1.2, -1.2, 1.2, 1.2, 0.1, 0.0), "world", "beacon")
+BODY_FROM_CAMERA = Pose.exp((-1.2, 1.2, -1.2, 0.1, 0.0, 0.05), "body", "camera")
+WORLD_FROM_BEACON = Pose.exp((-1.2, 1.2, -1.2, 1.2, 0.1, 0.0), "world", "beacon")
 
 
 @pytest.fixture(scope="module")

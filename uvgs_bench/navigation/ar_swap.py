@@ -146,7 +146,7 @@ class ArSwap:
         ages = np.array([s_from_ns(m.t_ns - t_ns) for m in recent])
         rows = np.array([_from_anchor(anchor, m.world_from_body) for m in recent])
         sigma = np.repeat((s.prior_sigma_rad, s.prior_sigma_m), 3)
-        is_moving = len(recent) > 2
+        is_moving = len(recent) > 1
         A = np.column_stack((np.ones(len(recent)), ages)) if is_moving else np.ones((len(recent), 1))
         weight = np.ones(len(recent))
         x, normal = np.zeros((A.shape[1], 6)), np.eye(A.shape[1])

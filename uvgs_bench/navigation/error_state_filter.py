@@ -167,7 +167,9 @@ class ErrorStateFilter:
         self._P = np.zeros((self._size, ERROR_SIZE, ERROR_SIZE))
         self._head = 0
         self._believed: list[_Believed] = []
+        self._is_gap = np.zeros(self._size, dtype=bool)
         self._reading: FloatArray | None = None
+        self._reading_ns = start.t_ns
         self._fused_ns: dict[str, int] = {}
         self._t[0] = start.t_ns
         self._states[0] = packed(start)
@@ -194,13 +196,13 @@ class ErrorStateFilter:
         """
         reading = np.concatenate((acceleration_mps2, rate_radps))
         last, self._reading = self._reading, reading
-        now_ns = self.t_ns
-        if t_ns <= now_ns:
+        before_ns, self._reading_ns = self._reading_ns, t_ns
+        if t_ns <= self.t_ns:
             return
-        gap_s = s_from_ns(t_ns - now_ns)
+        gap_s = s_from_ns(t_ns - before_ns)
         if gap_s > self.config.max_gap_s:
-            self.gaps_s.append((now_ns, gap_s))
-        self._append(t_ns, reading if last is None else 0.5 * (last + reading))
+            self.gaps_s.append((before_ns, gap_s))
+        self._append(t_ns, reading if last is None else 0.5 * (last + reading), gap_s)
 
     def add_pose(self, measurement: PoseMeasurement) -> UpdateRecord:
         """Correct the state by a measured pose, at the instant it holds for.
@@ -261,12 +263,13 @@ class ErrorStateFilter:
         t_ns = self._fused_ns.get(source)
         return np.inf if t_ns is None else s_from_ns(self.t_ns - t_ns)
 
-    def _append(self, t_ns: int, reading: FloatArray) -> None:
+    def _append(self, t_ns: int, reading: FloatArray, unread_s: float) -> None:
+        """A step to an instant, so long after the last reading."""
         before, self._head = self._head % self._size, self._head + 1
         k = self._head % self._size
-        self._t[k], self._readings[k] = t_ns, reading
+        self._t[k], self._readings[k], self._is_gap[k] = t_ns, reading, unread_s > self.config.max_gap_s
         self._states[k], self._P[k] = self._states[before], self._P[before]
-        self._carry(self._states[k], self._P[k], reading, int(self._t[before]), t_ns)
+        self._carry(self._states[k], self._P[k], k, int(self._t[before]), t_ns)
         oldest_ns = int(self._t[self._oldest() % self._size])
         while self._believed and self._believed[0].t_ns < oldest_ns:
             self._believed.pop(0)
@@ -274,20 +277,23 @@ class ErrorStateFilter:
     def _oldest(self) -> int:
         return max(0, self._head - self._size + 1)
 
-    def _carry(self, state: FloatArray, P: FloatArray, reading: FloatArray, start_ns: int, end_ns: int) -> None:
+    def _carry(self, state: FloatArray, P: FloatArray, k: int, start_ns: int, end_ns: int) -> None:
+        """Carry a state on within the step that ends at place k of the window."""
         dt_s = s_from_ns(end_ns - start_ns)
         noise = self._noise
-        if dt_s > self.config.max_gap_s:
+        if self._is_gap[k]:
             # A density that makes the mean over the gap as unsure as was said.
             noise = noise.copy()
-            noise[0] = np.hypot(noise[0], self.config.gap_acceleration_mps2 * np.sqrt(dt_s))
-            noise[1] = np.hypot(noise[1], self.config.gap_rate_radps * np.sqrt(dt_s))
-        propagate(state, P, _EMPTY, reading, dt_s, noise, self._gravity, False)
+            root_s = np.sqrt(max(dt_s, self.config.max_gap_s))
+            noise[0] = np.hypot(noise[0], self.config.gap_acceleration_mps2 * root_s)
+            noise[1] = np.hypot(noise[1], self.config.gap_rate_radps * root_s)
+        propagate(state, P, _EMPTY, self._readings[k], dt_s, noise, self._gravity, False)
 
     def _base_of(self, t_ns: int) -> int | None:
         """The step at or before an instant; a new step when the instant is yet to come."""
         if t_ns > self.t_ns:
-            self._append(t_ns, self._reading if self._reading is not None else self._at_rest())
+            reading = self._reading if self._reading is not None else self._at_rest()
+            self._append(t_ns, reading, s_from_ns(t_ns - self._reading_ns))
             return self._head
         k, oldest = self._head, self._oldest()
         while k >= oldest and self._t[k % self._size] > t_ns:
@@ -304,11 +310,11 @@ class ErrorStateFilter:
         k = base % self._size
         state, P, now_ns = self._states[k].copy(), self._P[k].copy(), int(self._t[k])
         if t_ns > now_ns:
-            reading = self._readings[(base + 1) % self._size]
+            k = (base + 1) % self._size
             for held in self._between(now_ns, t_ns):
-                self._carry_and_correct(state, P, reading, now_ns, held)
+                self._carry_and_correct(state, P, k, now_ns, held)
                 now_ns = held.t_ns
-            self._carry(state, P, reading, now_ns, t_ns)
+            self._carry(state, P, k, now_ns, t_ns)
         return state, P
 
     def _between(self, after_ns: int, until_ns: int) -> list[_Believed]:
@@ -316,11 +322,9 @@ class ErrorStateFilter:
         j = bisect_right(self._believed, until_ns, key=lambda held: held.t_ns)
         return self._believed[i:j]
 
-    def _carry_and_correct(
-        self, state: FloatArray, P: FloatArray, reading: FloatArray, now_ns: int, held: _Believed
-    ) -> None:
+    def _carry_and_correct(self, state: FloatArray, P: FloatArray, k: int, now_ns: int, held: _Believed) -> None:
         if held.t_ns > now_ns:
-            self._carry(state, P, reading, now_ns, held.t_ns)
+            self._carry(state, P, k, now_ns, held.t_ns)
         self._apply(state, P, held, None, _residual(state, held))
 
     def _believe(
@@ -335,13 +339,13 @@ class ErrorStateFilter:
         now_ns = held.t_ns
         for number in range(base + 1, self._head + 1):
             k = number % self._size
-            end_ns, reading = int(self._t[k]), self._readings[k]
+            end_ns = int(self._t[k])
             for later in self._between(now_ns, end_ns):
                 if later is not held:
-                    self._carry_and_correct(state, P, reading, now_ns, later)
+                    self._carry_and_correct(state, P, k, now_ns, later)
                     now_ns = later.t_ns
             if end_ns > now_ns:
-                self._carry(state, P, reading, now_ns, end_ns)
+                self._carry(state, P, k, now_ns, end_ns)
             self._states[k], self._P[k] = state, P
             now_ns = end_ns
 

@@ -12,6 +12,8 @@ from uvgs_bench.report.figures import canvas, legend_above, series, style, svg_o
 from uvgs_bench.report.palette import BLUE, FAINT, ORANGE
 from uvgs_bench.units import percent_from_fraction
 
+# What is larger is drawn at this, lest one value flatten all others.
+_MOST_NEES = 60.0
 # 95 % of the chi-square law with 6 and 9 degrees of freedom, two-sided.
 _BANDS = {6: (1.2373, 14.4494), 9: (2.7004, 19.0228)}
 
@@ -58,7 +60,7 @@ def _drawing(outcome: FusionOutcome) -> Figure:
     with style(key):
         figure = canvas(2.8)
         axes = figure.add_subplot()
-        axes.semilogy(score.t_s[shown], np.maximum(score.nees[shown], 1e-2), ".", color=BLUE, ms=2.4, label="NEES")
+        axes.plot(score.t_s[shown], np.minimum(score.nees[shown], _MOST_NEES), ".", color=BLUE, ms=2.4, label="NEES")
         axes.axhline(9.0, color=FAINT, lw=0.9, label="expected")
         for end in (low, high):
             axes.axhline(end, color=ORANGE, lw=0.9, ls="--", label="95 % band" if end == low else "_nolegend_")
@@ -67,6 +69,6 @@ def _drawing(outcome: FusionOutcome) -> Figure:
         legend_above(axes, 3)
         svg = svg_of(figure, key, alt)
     return Figure(
-        key, svg, alt, "Squared errors in units of the stated covariance, over time.",
+        key, svg, alt, "Squared errors in units of the stated covariance, over time; beyond 60 drawn at 60.",
         (series("time", "s", score.t_s), series("NEES", "", score.nees)),
     )  # fmt: skip

@@ -130,7 +130,7 @@ def _shade_starved(axes: object, outcome: FusionOutcome) -> None:
     begin_ns = main.result.states[0].t_ns - round(1e9 * float(main.score.t_s[0]))
     instants = np.array([t_ns for t_ns, _ in outcome.source.starved_ns], dtype=np.float64)
     for t_s in (instants - begin_ns) / 1e9:
-        axes.axvspan(t_s - 0.5, t_s + 0.5, color=RULE, lw=0.0)
+        axes.axvspan(t_s - 0.6, t_s + 0.6, color=RULE, lw=0.0)
 
 
 def _errors(outcome: FusionOutcome) -> Figure:
