@@ -173,7 +173,7 @@ def test_no_pose_is_of_a_wrong_beacon_and_hand_overs_stay_within_their_doubt(
     assert quality.worst_step_m < 3e-3
     assert quality.unflagged_count == 0
     if any(isinstance(event, Remark) and "corrected" in event.text for event in events):
-        # The beacon changes at the end of each way, so its begin is missed and held.
+        # The beacon changes at the end of each way, which is missed and held.
         assert quality.held_count > 3
     active = [sample.active for sample in run.samples if sample.active]
     assert list(dict.fromkeys(active)) == ["tetra_blue", "tetra_red", "tetra_green", "tetra_blue_2"]
