@@ -95,6 +95,8 @@ class BagContainer(ABC):
 
     latest_ns = 0
     """Latest instant the format has a place for, ns."""
+    is_hurried = False
+    """Set while messages come faster than chunks are compressed: then they are written as they are."""
 
     def __init__(self, path: Path, *, force: bool = False) -> None:
         if path.exists() and not force:

@@ -71,8 +71,9 @@ class McapContainer(BagContainer):
 
     def _put_chunk(self, chunk: Chunk) -> None:
         at, plain = self._at(), chunk.data.getbuffer()
-        name = "zstd" if self._zstd else ""
-        packed = self._zstd.compress(plain, _LEVEL) if self._zstd else plain
+        zstd = None if self.is_hurried else self._zstd
+        name = "zstd" if zstd else ""
+        packed = zstd.compress(plain, _LEVEL) if zstd else plain
         head = struct.pack("<QQQI", chunk.start_ns, chunk.end_ns, len(plain), crc32(plain)) + _text(name)
         self._put(struct.pack("<BQ", _CHUNK, len(head) + 8 + len(packed)) + head + struct.pack("<Q", len(packed)))
         self._put(packed)

@@ -59,8 +59,9 @@ class Ros1Container(BagContainer):
 
     def _put_chunk(self, chunk: Chunk) -> None:
         at, plain = self._at(), chunk.data.getbuffer()
-        packed = bz2.compress(plain) if self._compression == "bz2" else plain
-        self._put(_head({"op": _CHUNK, "compression": self._compression.encode(), "size": _u32(len(plain))}))
+        compression = "none" if self.is_hurried else self._compression
+        packed = bz2.compress(plain) if compression == "bz2" else plain
+        self._put(_head({"op": _CHUNK, "compression": compression.encode(), "size": _u32(len(plain))}))
         self._put(_u32(len(packed)))
         self._put(packed)
         tail = BytesIO()

@@ -8,8 +8,9 @@
 | ``/uvgs/record/answer`` | after each answer: what came from outside meanwhile (flags, commands, exposures), JSON |
 | the topics of ``interop.bag_writer`` | poses, transforms, diagnostics, camera_info |
 
-``sessions.replay`` reads it back. The file is written in a thread; a disk that is slower than the camera holds up the
-stream, so that a live source drops its oldest captures and counts them, and no picture that was solved is missing.
+``sessions.replay`` reads it back. The file is written in a thread. When it falls behind, what comes is no longer
+compressed; a disk that is slower than the camera even so holds up the stream, so that a live source drops its oldest
+captures and counts them, and no picture that was solved is missing.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ CAPTURE_TOPIC = "/uvgs/record/capture"
 ANSWER_TOPIC = "/uvgs/record/answer"
 # So much may wait for the disk: some seconds of a fast camera.
 _WAITING_BYTES = 128 << 20
+_HURRY_BYTES = _WAITING_BYTES // 8
 
 
 class Recorder:
@@ -151,7 +153,9 @@ class Recorder:
                 if not self._waiting:
                     return
                 work, size = self._waiting.popleft()
+                is_hurried = self._waiting_bytes > _HURRY_BYTES
             try:
+                self._bag.hurry(is_hurried)
                 work()
             except UvgsError as error:
                 self._failure = error

@@ -15,7 +15,7 @@ from uvgs_bench.geometry import Pose
 from uvgs_bench.geometry.se3 import so3_log
 from uvgs_bench.interop import astrobee
 from uvgs_bench.interop.bag_container import MessageKind
-from uvgs_bench.interop.bag_writer import BagContents, NewBag, BagPoses
+from uvgs_bench.interop.bag_writer import BagContents, BagPoses, NewBag
 from uvgs_bench.interop.mcap_container import McapContainer
 from uvgs_bench.interop.pose_messages import ros_covariance, ros_names
 from uvgs_bench.interop.ros1_container import Ros1Container
@@ -286,6 +286,18 @@ def test_a_disk_that_fills_up_leaves_a_bag_with_what_fitted(tmp_path, name):
     # 40 messages of 20 kB were wanted, 300 kB is room for 14, two lie in a chunk.
     assert 10 <= len(found) <= 14
     assert [t_ns for t_ns, _ in found] == [10**9 * (i + 1) for i in range(len(found))]
+
+
+@pytest.mark.parametrize(("name", "compression"), [("p.bag", "bz2"), ("p.mcap", "zstd")])
+def test_chunks_written_in_a_hurry_are_not_compressed_and_read_like_the_others(tmp_path, name, compression):
+    bag = NewBag(tmp_path / name, compression=compression)
+    for i in range(6):
+        bag.hurry(i % 2 == 1)
+        bag.write("/text", i * 10**9, bag.make.text("x" * 1_200_000 + str(i)))
+    bag.close()
+    # Three of six messages of 1.2 MB that compress to almost nothing.
+    assert 3_600_000 < (tmp_path / name).stat().st_size < 3_700_000
+    assert [message.data[-1] for _, message in read(tmp_path / name)["/text"]] == list("012345")
 
 
 def test_a_full_disk_is_said_at_once():
