@@ -164,3 +164,24 @@ def test_outputs_that_cannot_be_meant_are_one_line(bench, tmp_path, capfd, words
     told = capfd.readouterr().err
     assert said in " ".join(told.split())
     assert "Traceback" not in told
+
+
+def test_nothing_is_begun_when_one_output_cannot_be(bench, tmp_path, capfd):
+    (tmp_path / "there.bag").write_text("mine")
+    for words, said in (
+        (("--out", tmp_path / "there.bag"), "there.bag: exists already"),
+        (("--out", tmp_path / "b.xyz"), "unknown ending '.xyz', expected one of: .csv, .tum, .jsonl, .bag, .mcap"),
+        (("--record", tmp_path / "there.bag"), "exists already"),
+    ):
+        assert uvgs(*setup(bench), "--out", tmp_path / "a.csv", "--record", tmp_path / "r.mcap", *words) == 2
+        assert said in " ".join(capfd.readouterr().err.split())
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["there.bag"]
+    assert (tmp_path / "there.bag").read_text() == "mine"
+
+
+def test_endings_are_those_of_the_writers():
+    from uvgs_bench.cli import run_outlets
+    from uvgs_bench.interop.bag_writer import BAG_ENDINGS
+    from uvgs_bench.interop.trajectories import WRITERS
+
+    assert (*WRITERS, *BAG_ENDINGS) == run_outlets._ENDINGS

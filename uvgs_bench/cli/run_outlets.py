@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from uvgs_bench.sessions.outlets import Outlet, Outlets, StreamSetup
 
 Compression = Literal["none", "bz2", "zstd"]
+_BAGS = (".bag", ".mcap")
+_ENDINGS = (".csv", ".tum", ".jsonl", *_BAGS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +60,22 @@ class OutletOptions:
         records = () if record is None else (record,)
         is_told = self.udp is not None or any(shown)
         if not self.out and not records and not is_told:
-            raise ConfigError("is needed: name a file that ends in .csv, .tum, .jsonl, .bag or .mcap", "--out")
+            raise ConfigError(f"is needed: name a file that ends in one of {', '.join(_ENDINGS)}", "--out")
         for path in self.out:
             if (*self.out, *records).count(path) > 1:
                 raise ConfigError(f"{path} is named twice", "--out")
+        # Before any is opened: a file that was begun for nothing would be in the way the next time.
+        for path in self.out:
+            if path.suffix not in _ENDINGS:
+                raise ConfigError(f"unknown ending '{path.suffix}', expected one of: {', '.join(_ENDINGS)}", str(path))
+        for path in (*self.out, *records):
+            if path.exists() and not self.force:
+                raise ConfigError("exists already; use --force to replace it", str(path))
         read = {Path(part).absolute() for part in (source, *source.partition(":")[2].partition("?")[0].split(","))}
         for path in (*self.out, *records):
             if path.absolute() in read or any(path.exists() and file.exists() and path.samefile(file) for file in read):
                 raise ConfigError("is what is read; write to another file", str(path))
-        has_bag = any(path.suffix in (".bag", ".mcap") for path in self.out)
+        has_bag = any(path.suffix in _BAGS for path in self.out)
         for word, ending in (("bz2", ".bag"), ("zstd", ".mcap")):
             if self.compression == word and not any(path.suffix == ending for path in (*self.out, *records)):
                 raise ConfigError(f"{word} compresses {ending} files, but none is written", "--compression")
@@ -118,7 +127,7 @@ def open_outlets(
             add(UdpTelemetry(options.udp, sink, options.rate_hz))
         outlets += more
         for path in options.out:
-            if path.suffix in (".bag", ".mcap"):
+            if path.suffix in _BAGS:
                 add(_bag(path, setup, options))
             else:
                 add(PoseFile(open_pose_writer(path, force=options.force, beacons=tuple(setup.sensors))))
