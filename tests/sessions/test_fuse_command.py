@@ -144,9 +144,8 @@ def test_gaps_of_the_unit_are_named(source, folder, tmp_path, capsys):
     assert run("fuse", bag, "--setup", folder / "setup.toml", "--json", "-q") == 3
     said = json.loads(capsys.readouterr().out)
     assert any("pauses 1 times" in line for line in said["problems"])
-    assert said["runs"][0]["imu_gaps"][0]["length_s"] == pytest.approx(
-        0.72, abs=0.005
-    )  # from the last reading before to the first after
+    # From the last reading before to the first after.
+    assert said["runs"][0]["imu_gaps"][0]["length_s"] == pytest.approx(0.72, abs=0.005)
 
 
 def test_another_localiser_is_used_when_named(folder, tmp_path, capsys):

@@ -332,7 +332,9 @@ class ErrorStateFilter:
     ) -> None:
         """Correct at the measurement's instant, remember it, and carry the result to the newest step."""
         self._apply(state, P, held, L, residual)
-        self._believed.insert(bisect_right(self._believed, held.t_ns, key=lambda other: other.t_ns), held)
+        place = bisect_right(self._believed, held.t_ns, key=lambda other: other.t_ns)
+        self._believed.insert(place, held)
+        is_last = place == len(self._believed) - 1
         k = base % self._size
         if held.t_ns == self._t[k]:
             self._states[k], self._P[k] = state, P
@@ -340,7 +342,7 @@ class ErrorStateFilter:
         for number in range(base + 1, self._head + 1):
             k = number % self._size
             end_ns = int(self._t[k])
-            for later in self._between(now_ns, end_ns):
+            for later in () if is_last else self._between(now_ns, end_ns):
                 if later is not held:
                     self._carry_and_correct(state, P, k, now_ns, later)
                     now_ns = later.t_ns

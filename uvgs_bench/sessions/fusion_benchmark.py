@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from uvgs_bench.errors import ConfigError
-from uvgs_bench.navigation.fusion_data import BOTH, METHODS, FalsePoses, FusionInput, FusionResult, with_false_poses
+from uvgs_bench.navigation.fusion_data import (
+    BOTH,
+    METHODS,
+    FalsePoses,
+    FusionInput,
+    FusionResult,
+    Method,
+    with_false_poses,
+)
 from uvgs_bench.navigation.fusion_score import PauseScore, nees_band, score, score_raw
 from uvgs_bench.sessions.events import EventSink
 from uvgs_bench.sessions.figures_table import Figure
@@ -16,6 +24,7 @@ from uvgs_bench.units import deg_from_rad, mm_from_m, percent_from_fraction, s_f
 _FALSE_SHARE, _FALSE_SIZE_M = 0.05, 0.3
 # Enough hidden passages that the band of their mean NEES says something.
 _OCCLUSION_SEEDS = 4
+_PASSES = 3
 
 
 def fusion_figures(seed: int = 0, sink: EventSink = lambda event: None) -> tuple[Figure, ...]:
@@ -37,12 +46,18 @@ def fusion_figures(seed: int = 0, sink: EventSink = lambda event: None) -> tuple
     rows = [*_square(square, fused, graph), *_false(square, seed, graph is not None)]
     rows += _occlusion(seed, sink)
     rows += _gt2(simulate_mission(mission("gt2"), seed, sink))
-    rows.append(_at_most("filter update, median processor time", 60.0, float(np.median(fused.update_us)), "µs"))
-    if graph is not None:
-        rows.append(_at_most("graph update, median processor time", 1000.0, float(np.median(graph.update_us)), "µs"))
-    else:
-        rows.append(Figure("graph update, median processor time", "<= 1000 µs", float("nan"), "µs", None))
+    rows.append(_time("filter", 60.0, square, fused))
+    rows.append(_time("graph", 1000.0, square, graph))
     return tuple(rows)
+
+
+def _time(method: Method, limit_us: float, source: FusionInput, first: FusionResult | None) -> Figure:
+    """Median processor time of an update; the best of some passes, because other programs slow this one down."""
+    name = f"{method} update, median processor time, best of {_PASSES}"
+    if first is None:
+        return Figure(name, f"<= {limit_us:g} µs", float("nan"), "µs", None)
+    passes = [first, *(fuse(source, method) for _ in range(_PASSES - 1))]
+    return _at_most(name, limit_us, min(float(np.median(result.update_us)) for result in passes), "µs")
 
 
 def _at_most(name: str, limit: float, measured: float, unit: str) -> Figure:
