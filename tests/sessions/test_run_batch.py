@@ -196,11 +196,13 @@ def test_what_changed_is_done_again_and_nothing_else(fake, tmp_path, monkeypatch
 def test_what_may_be_other_pictures_the_next_time_is_never_done(fake, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("bench.toml").write_text("")
-    sources = ["uvc:0", "sim:bench.toml?count=3", "rtsp://host/cam"]
+    sources = ["uvc:0", "sim:bench.toml?count=3", "rtsp://me:secret@host/cam"]
     assert [source_key(source, BatchPlan((), (("--out", "p/{}.csv"),))) for source in sources] == [""] * 3
     for _ in range(2):
         assert [result.was_done for result in go(sources)] == [False] * 3
     assert len(fake) == 6
+    assert "rtsp://me:secret@host/cam" in fake[2]
+    assert "secret" not in (Path("p") / RESULTS_FILE).read_text()
 
 
 def test_failures_are_tried_again_and_their_files_replaced_but_no_others(fake, tmp_path, monkeypatch):

@@ -141,6 +141,7 @@ def begin_record(
     recorder: Recorder, setup: StreamSetup, rules: StreamRules, opened: OpenedSource, loop: ExposureLoop | None
 ) -> None:
     """Say in a record what its captures are solved with."""
+    from uvgs_bench.devices.cameras.network import without_password
     from uvgs_bench.sessions.provenance import program_versions
     from uvgs_bench.sessions.record_setup import RecordedCamera, RecordSetup
 
@@ -155,7 +156,7 @@ def begin_record(
         )
     recorder.begin(
         RecordSetup(
-            setup.source,
+            without_password(setup.source),
             setup.calibration,
             setup.beacons,
             setup.parameters,

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from uvgs_bench import __version__
+from uvgs_bench.devices.cameras.network import without_password
 from uvgs_bench.errors import ConfigError, ExitCode, UvgsError
 from uvgs_bench.sessions.events import EventSink, StageAdvanced, StageFinished, StageStarted
 from uvgs_bench.sessions.interruption import interruptible
@@ -66,7 +67,7 @@ class SourceResult:
     """What became of one source.
 
     Args:
-        source: As in the list.
+        source: As in the list, without a password.
         key: What it was solved with, as a hash; empty when it may be other pictures the next time.
         outputs: Files and folders that were asked for.
         written: Files that were written.
@@ -181,17 +182,18 @@ def run_batch(
                 strangers = [name for name in outputs if Path(name).exists() and name not in before.begun]
                 may_replace = force or not strangers
                 if may_replace:
-                    _note(stream, {"begun": list(outputs), "source": source})
+                    _note(stream, {"begun": list(outputs), "source": without_password(source)})
                 words = _words(source, plan, outputs, may_replace)
                 waiting[pool.submit(run_source, words, str(Path.cwd()))] = source, outputs
             while waiting:
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                     source, outputs = waiting.pop(future)
-                    result = SourceResult(source, keys[source], outputs, **future.result())
+                    shown = without_password(source)
+                    result = SourceResult(shown, keys[source], outputs, **future.result())
                     _note(stream, {"result": asdict(result)})
                     results[source] = result
                     said = result.error or f"{result.poses} of {result.captures} captures with a pose"
-                    sink(StageAdvanced("sources", len(results), f"{source}: {said}"))
+                    sink(StageAdvanced("sources", len(results), f"{shown}: {said}"))
     failed = sum(not result.is_done for result in results.values())
     sink(StageFinished("sources", f"{len(sources)} sources, {failed} failed"))
     return [results[source] for source in sources]
