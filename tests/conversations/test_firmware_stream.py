@@ -31,12 +31,13 @@ def test_an_arc_is_driven_without_a_stop(firmware_builds: FirmwareBuilds) -> Non
             # A half circle of 16 mm in pieces of 0.5 mm; 20 mm/s need 50 mm/s^2, the axes have 200.
             angles = np.linspace(0.0, np.pi, 51)
             arc = begin + 0.008 * np.stack([np.cos(angles) - 1.0, -np.sin(angles), 0.0 * angles], axis=1)
-            seen = []
-            with gantry.streaming() as stream:
+            seen, numbers = [], []
+            with gantry.recording() as kept, gantry.streaming() as stream:
                 for k, target in enumerate(arc[1:]):
                     stream.order(target, 0.02)
                     if k > 8:
                         seen.append(stream.observe()[0])
+                        numbers.append(len(kept) - 1)
             end = gantry.state()
         counted = board.table().motor_steps
     assert end.is_trusted
@@ -48,4 +49,8 @@ def test_an_arc_is_driven_without_a_stop(firmware_builds: FirmwareBuilds) -> Non
     radii = [np.linalg.norm(stamp.position - centre) for stamp in seen]
     assert len(radii) > 10
     np.testing.assert_allclose(radii, 0.008, atol=4e-5)
+    # The controller's own time is at least as sure as the answers are, and within their doubt of it.
+    for stamp, number in zip(seen, numbers, strict=True):
+        np.testing.assert_array_equal(kept[number].position, stamp.position)
+        assert abs(kept[number].t_ns - stamp.t_ns) <= kept[number].doubt_ns + stamp.doubt_ns + 10_000_000
     assert len({tuple(stamp.position) for stamp in seen}) > 5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -101,6 +102,17 @@ def test_a_planted_delay_is_found_from_the_motion(square: tuple[Run, SimulatedBe
     # 20 ms at up to 40 mm/s are 0.8 mm; the registration at rest has no part in it.
     assert 0.3e-3 < found["dynamic_position_rms"].value < 0.9e-3
     assert found["absolute_position_rms"].value < 0.2e-3
+
+
+def test_the_same_seed_gives_the_same_motion(tmp_path: Path) -> None:
+    text = PROCEDURE.replace("laps = 2", "laps = 1").replace("captures_hz = 3.0", "captures_hz = 1.0")
+    lines = []
+    for name in ("one", "other"):
+        set_up = replace(set_up_of(tmp_path / name, text), noise_seed=7)
+        result = sweep(set_up, tmp_path / name / "runs", keep="none")
+        records = [json.loads(line) for line in (result.path / "samples.jsonl").read_text().splitlines()]
+        lines.append([{key: value for key, value in record.items() if key != "stage_s"} for record in records])
+    assert lines[0] == lines[1]
 
 
 def test_an_interruption_in_motion_stops_first_and_keeps_what_was_taken(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,12 +41,17 @@ _MOST_HELD_BYTES = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Report:
-    """Where the controller said the carriage was, and where it was told to be, at one instant."""
+    """Where the controller said the carriage was, and where it was told to be, at one instant.
+
+    ``number`` counts everything that the gantry's own recording kept of this path, ``begun_ns`` is when the path began.
+    """
 
     t_ns: int
     doubt_ns: int
     position: FloatArray
     told: FloatArray
+    number: int
+    begun_ns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +76,6 @@ class _Record:
     held_bytes: int = 0
     largest_lag_s: float = 0.0
     halts: int = 0
-    doubt_ns: int = 0
     samples: list[Sample] = field(default_factory=list)
 
 
@@ -111,7 +115,7 @@ def drive_motion(plan: Plan, rig: Rig, writer: RunWriter, sink: EventSink) -> li
         StageFinished(
             "motion",
             f"{len(record.samples)} captures; late or early by {ms_from_s(record.largest_lag_s):.0f} ms at most; "
-            f"its reports are sure to {ms_from_s(s_from_ns(record.doubt_ns)):.1f} ms",
+            f"its reports are sure to {ms_from_s(s_from_ns(max(r.doubt_ns for r in record.reports))):.1f} ms",
         )
     )
     if record.halts:
@@ -173,10 +177,11 @@ def _drive(
     """Tell one trajectory piece by piece, look, and take captures."""
     period_ns = ns_from_s(1.0 / motion.captures_hz)
     count = int(np.ceil(path.duration_s / _PIECE_S))
-    with rig.gantry.streaming() as stream:
+    first_report = len(record.reports)
+    with rig.gantry.recording() as kept, rig.gantry.streaming() as stream:
         begun_ns = next_ns = rig.clock.now_ns()
         told, is_resting = 0, True
-        lag_s = _look(stream.observe()[0], path, begun_ns, record)
+        lag_s = _look(stream.observe()[0], len(kept) - 1, path, begun_ns, record)
         while True:
             check_interruption()
             now_s = s_from_ns(rig.clock.now_ns() - begun_ns)
@@ -196,15 +201,25 @@ def _drive(
                     record.shots.append(shot)
                     record.held_bytes += 0 if shot.image is None else shot.image.nbytes
                     sink(StageAdvanced("motion", len(record.samples) + len(record.shots), shot.sight.active))
-            lag_s = _look(stream.observe()[0], path, begun_ns, record)
+            lag_s = _look(stream.observe()[0], len(kept) - 1, path, begun_ns, record)
             if now_s >= path.duration_s:
                 break
             if record.held_bytes > _MOST_HELD_BYTES:
                 _write(record, plan, writer)
             due_s = s_from_ns(next_ns - rig.clock.now_ns())
             rig.clock.sleep(min(_LOOK_S, max(due_s, 0.0)))
+    record.reports[first_report:] = [_surest(report, kept, path) for report in record.reports[first_report:]]
     at_rest = rig.gantry.state()
-    record.reports.append(_Report(at_rest.t_ns, 0, at_rest.position, path.last))
+    record.reports.append(_Report(at_rest.t_ns, 0, at_rest.position, path.last, -1, begun_ns))
+
+
+def _surest(report: _Report, kept: Sequence[StampedPosition], path: Trajectory) -> _Report:
+    """The report with the instant that a controller with a clock of its own has said, where that is surer."""
+    stamp = kept[report.number]
+    if stamp.doubt_ns >= report.doubt_ns:
+        return report
+    told = path.state_at(s_from_ns(stamp.t_ns - report.begun_ns)).position
+    return replace(report, t_ns=stamp.t_ns, doubt_ns=stamp.doubt_ns, told=told)
 
 
 def _tell(stream: MotionStream, path: Trajectory, number: int, lag_s: float, motion: Motion) -> bool:
@@ -224,11 +239,10 @@ def _tell(stream: MotionStream, path: Trajectory, number: int, lag_s: float, mot
     return True
 
 
-def _look(stamp: StampedPosition, path: Trajectory, begun_ns: int, record: _Record) -> float:
+def _look(stamp: StampedPosition, number: int, path: Trajectory, begun_ns: int, record: _Record) -> float:
     """Keep a report; by how much the carriage is late, s, where it moves fast enough to tell."""
     state = path.state_at(s_from_ns(stamp.t_ns - begun_ns))
-    record.reports.append(_Report(stamp.t_ns, stamp.doubt_ns, stamp.position, state.position))
-    record.doubt_ns = max(record.doubt_ns, stamp.doubt_ns)
+    record.reports.append(_Report(stamp.t_ns, stamp.doubt_ns, stamp.position, state.position, number, begun_ns))
     square = float(state.velocity @ state.velocity)
     if square < _SLOW * _SLOW:
         return 0.0
@@ -270,9 +284,10 @@ def _write(record: _Record, plan: Plan, writer: RunWriter) -> None:
 
 
 def _samples(record: _Record, plan: Plan, writer: RunWriter) -> list[tuple[Sample, ImageArray | None]]:
-    times = np.array([report.t_ns for report in record.reports], dtype=np.int64)
-    positions = np.array([report.position for report in record.reports])
-    offsets = positions - np.array([report.told for report in record.reports])
+    reports = sorted(record.reports, key=lambda report: report.t_ns)
+    times = np.array([report.t_ns for report in reports], dtype=np.int64)
+    positions = np.array([report.position for report in reports])
+    offsets = positions - np.array([report.told for report in reports])
     out: list[tuple[Sample, ImageArray | None]] = []
     before = record.samples[-1] if record.samples else None
     for shot in record.shots:
@@ -326,13 +341,3 @@ def _sample(
         switched=shot.sight.switched,
         held_age_s=shot.sight.held_age_s,
     )
-
-
-def motion_figures(samples: Sequence[Sample]) -> dict[str, object]:
-    """How many captures of a motion were taken, moving and held, and how often the beacon changed."""
-    return {
-        "captures": len(samples),
-        "moving": sum(sample.is_moving for sample in samples),
-        "held": sum(sample.held_age_s is not None for sample in samples),
-        "handovers": sum(bool(sample.switched) for sample in samples),
-    }
