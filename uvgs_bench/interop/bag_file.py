@@ -14,7 +14,15 @@ from typing import Any
 
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop import bag_recovery as recovery
-from uvgs_bench.interop.bag_framing import BagChannel, Record, full_msgtype, needed_types, unpack_file, zstd_module
+from uvgs_bench.interop.bag_framing import (
+    BagChannel,
+    Record,
+    full_msgtype,
+    needed_types,
+    shown,
+    unpack_file,
+    zstd_module,
+)
 from uvgs_bench.interop.mcap_recovery import MCAP_MAGIC, mcap_compression, scan_mcap
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -72,8 +80,15 @@ class BagFile:
 
     def messages(self, topics: Collection[str] = ()) -> Iterator[BagMessage]:
         """Its messages in order of the bag's own times; of all topics when none is named."""
+        report = _reporter(self.path, self.remarks)
         for channel, log_ns, raw in self._read(topics):
-            whole = zstd_module().decompress(raw) if raw[:4] == _ZSTD else bytes(raw)
+            whole = bytes(raw)
+            if raw[:4] == _ZSTD:
+                try:
+                    whole = zstd_module().decompress(raw)
+                except zstd_module().ZstdError as error:
+                    report(f"a message of {channel.topic} cannot be unpacked: {one_line(error)}", -1)
+                    continue
             yield BagMessage(channel, log_ns, whole, self)
 
     def decode(self, channel: BagChannel, raw: bytes) -> Any:
@@ -99,8 +114,8 @@ class BagFile:
 
 
 def one_line(error: BaseException) -> str:
-    """An error's words in one line; its kind where it has none."""
-    return " ".join(str(error).split())[:200] or type(error).__name__
+    """An error's words in one line."""
+    return shown(str(error)) or "its bytes make no sense"
 
 
 def open_bag_file(path: Path) -> BagFile:
@@ -172,24 +187,28 @@ def _open_packed(path: Path) -> BagFile:
 Scan = Callable[[Path, Callable[[str, int], None]], Iterator[Record]]
 
 
-def _open_indexed(path: Path, shown: Path, kind: str, scan: Scan) -> BagFile:
+def _open_indexed(path: Path, known_as: Path, kind: str, scan: Scan) -> BagFile:
     """Through the library's reader, which knows the index; record by record when it cannot."""
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
     if kind == "ROS 2 sqlite3" and (missing := recovery.missing_bytes(path)):
         # SQLite reads zeros behind the end of a file, and they would be taken for pixels.
-        return _open_scanned(path, shown, kind, scan, f"{missing} bytes at its end are missing")
+        return _open_scanned(path, known_as, kind, scan, f"{missing} bytes at its end are missing")
     try:
         reader: Any = Reader1(path) if kind == "ROS 1" else Reader2(path)
         reader.open()
     except Exception as error:  # broken bags raise whatever their bytes lead to
-        return _open_scanned(path, shown, kind, scan, one_line(error))
-    channels = {_key(found): _channel(found, kind) for found in reader.connections}
+        return _open_scanned(path, known_as, kind, scan, one_line(error))
+    try:
+        channels = {_key(found): _channel(found, kind) for found in reader.connections}
+    except FormatError as error:
+        reader.close()
+        return _open_scanned(path, known_as, kind, scan, one_line(error))
     counts: dict[BagChannel, int] = {}
     for found in reader.connections:
         counts[channels[_key(found)]] = counts.get(channels[_key(found)], 0) + found.msgcount
-    remarks = recovery.sqlite_remarks(path, shown) if kind == "ROS 2 sqlite3" else []
+    remarks = recovery.sqlite_remarks(path, known_as) if kind == "ROS 2 sqlite3" else []
 
     def read(topics: Collection[str]) -> Iterator[Record]:
         wanted = [found for found in reader.connections if not topics or found.topic in topics]
@@ -203,12 +222,14 @@ def _open_indexed(path: Path, shown: Path, kind: str, scan: Scan) -> BagFile:
                 count += 1
                 yield channels[_key(found)], log_ns, raw
         except Exception as error:  # as above
-            remarks.append(f"{shown}: breaks off in its index ({one_line(error)}); the rest is read record by record")
+            remarks.append(
+                f"{known_as}: breaks off in its index ({one_line(error)}); the rest is read record by record"
+            )
         else:
             if count != (said := sum(found.msgcount for found in wanted)):
-                remarks.append(f"{shown}: its index says {said} messages, but {count} are there")
+                remarks.append(f"{known_as}: its index says {said} messages, but {count} are there")
             return
-        for channel, log_ns, raw in scan(path, _reporter(shown, remarks)):
+        for channel, log_ns, raw in scan(path, _reporter(known_as, remarks)):
             if topics and channel.topic not in topics:
                 continue
             if log_ns == last_ns and same > 0:
@@ -221,20 +242,20 @@ def _open_indexed(path: Path, shown: Path, kind: str, scan: Scan) -> BagFile:
             reader.close()
 
     span_ns = (int(reader.start_time), int(reader.end_time) - 1) if reader.message_count else None
-    return BagFile(shown, kind, _compression(path, kind, reader), counts, remarks, span_ns, read, close)
+    return BagFile(known_as, kind, _compression(path, kind, reader), counts, remarks, span_ns, read, close)
 
 
-def _open_scanned(path: Path, shown: Path, kind: str, scan: Scan, reason: str) -> BagFile:
+def _open_scanned(path: Path, known_as: Path, kind: str, scan: Scan, reason: str) -> BagFile:
     counts: dict[BagChannel, int] = {}
-    remarks = [f"{shown}: is read record by record, because its index cannot be used: {reason}"]
+    remarks = [f"{known_as}: is read record by record, because its index cannot be used: {reason}"]
     first_ns = last_ns = None
-    for channel, log_ns, _ in scan(path, _reporter(shown, remarks)):
+    for channel, log_ns, _ in scan(path, _reporter(known_as, remarks)):
         counts[channel] = counts.get(channel, 0) + 1
         first_ns = log_ns if first_ns is None else min(first_ns, log_ns)
         last_ns = log_ns if last_ns is None else max(last_ns, log_ns)
     if first_ns is None or last_ns is None:
-        told = "; ".join(text.removeprefix(f"{shown}: ") for text in remarks[1:3])
-        raise FormatError(f"has no message that can be read: {reason}{'; ' if told else ''}{told}", str(shown))
+        told = "; ".join(text.removeprefix(f"{known_as}: ") for text in remarks[1:3])
+        raise FormatError(f"has no message that can be read: {reason}{'; ' if told else ''}{told}", str(known_as))
 
     def read(topics: Collection[str]) -> Iterator[Record]:
         # What is wrong was said when the messages were counted.
@@ -242,19 +263,19 @@ def _open_scanned(path: Path, shown: Path, kind: str, scan: Scan, reason: str) -
             if not topics or record[0].topic in topics:
                 yield record
 
-    return BagFile(shown, kind, "unknown", counts, remarks, (first_ns, last_ns), read, lambda: None)
+    return BagFile(known_as, kind, "unknown", counts, remarks, (first_ns, last_ns), read, lambda: None)
 
 
-def _reporter(shown: Path, remarks: list[str]) -> Callable[[str, int], None]:
+def _reporter(path: Path, remarks: list[str]) -> Callable[[str, int], None]:
     count = 0
 
     def report(text: str, offset: int) -> None:
         nonlocal count
         count += 1
         if count <= _MOST_REMARKS:
-            remarks.append(f"{shown}{f':{offset}' if offset >= 0 else ''}: {text}")
+            remarks.append(f"{path}{f':{offset}' if offset >= 0 else ''}: {shown(text)}")
         elif count == _MOST_REMARKS + 1:
-            remarks.append(f"{shown}: and more of that kind")
+            remarks.append(f"{path}: and more of that kind")
 
     return report
 
@@ -282,15 +303,15 @@ def _channel(connection: Any, kind: str) -> BagChannel:
 
 
 def _compression(path: Path, kind: str, reader: Any) -> str:
-    if kind == "ROS 1":
-        return recovery.ros1_compression(path, [int(info.pos) for info in reader.chunk_infos])
-    if kind == "ROS 2 mcap" and (
-        found := mcap_compression(path, [int(chunk.chunk_start_offset) for chunk in reader.storage.chunks])
-    ):
-        return found
     try:
+        if kind == "ROS 1":
+            return recovery.ros1_compression(path, [int(info.pos) for info in reader.chunk_infos])
+        if kind == "ROS 2 mcap":
+            chunks = [int(chunk.chunk_start_offset) for chunk in reader.storage.chunks]
+            if found := mcap_compression(path, chunks):
+                return found
         _, _, raw = next(iter(reader.messages()), (None, 0, b""))
-    except Exception:  # told when the messages are read
+    except Exception:  # what is broken is told when the messages are read
         return "unknown"
     return "zstd (messages)" if raw[:4] == _ZSTD else "none"
 

@@ -15,12 +15,17 @@ from typing import Any, BinaryIO
 
 from uvgs_bench.errors import FormatError
 
+CUT = "ends in the middle of a record"
+"""What is said where bytes are missing, as against bytes that make no sense."""
+
 Report = Callable[[str, int], None]
 """Takes what is wrong and at which byte."""
 
 # A compressed chunk is unpacked in memory; recorders write some MB.
 _MOST_CHUNK = 1 << 30
 _PIECE = 1 << 16
+_NAME = re.compile(r"[\x21-\x7e]{1,300}")
+_LONGEST_SHOWN = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +39,9 @@ class BagChannel:
         definition: Text of the definition; empty when the bag has none.
         definition_kind: ``msg`` or ``idl``.
         is_latched: Whether late subscribers got the last message.
+
+    Raises:
+        FormatError: Topic or type are no names; a damaged bag may say anything.
     """
 
     topic: str
@@ -43,9 +51,20 @@ class BagChannel:
     definition_kind: str = "msg"
     is_latched: bool = False
 
+    def __post_init__(self) -> None:
+        for what, name in (("topic", self.topic), ("type", self.msgtype)):
+            if not _NAME.fullmatch(name):
+                raise FormatError(f"a {what} is named '{shown(name)}'")
+
 
 Record = tuple[BagChannel, int, bytes]
 """A message: its channel, the bag's own time (ns), its bytes."""
+
+
+def shown(text: str) -> str:
+    """A text from a file that may be damaged, fit for one line of a terminal."""
+    plain = " ".join("".join(mark if mark.isprintable() else " " for mark in text).split())
+    return plain if len(plain) <= _LONGEST_SHOWN else plain[:_LONGEST_SHOWN] + "..."
 
 
 def full_msgtype(name: str) -> str:
@@ -86,8 +105,22 @@ def zstd_module() -> Any:
 def take(file: BinaryIO, length: int, size: int) -> bytes:
     """So many bytes of a file of that size. Raises FormatError when it ends before them."""
     if file.tell() + length > size:
-        raise FormatError("ends in the middle of a record")
+        raise FormatError(CUT)
     return file.read(length)
+
+
+def trusted(found: list[Record], error: Exception, *, is_cut: bool = True) -> list[Record]:
+    """Messages before something that is no record.
+
+    Args:
+        found: The messages in the order of the file.
+        error: What was wrong behind them.
+        is_cut: Whether bytes may be missing there.
+
+    Returns:
+        All of them where the bytes just end; else without the last, whose length, and so its content, may be wrong.
+    """
+    return found if is_cut and str(error) == CUT else found[:-1]
 
 
 def take_chunk(file: BinaryIO, length: int, size: int) -> tuple[bytes, bool]:

@@ -16,7 +16,7 @@ import shutil
 import sqlite3
 import struct
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
@@ -30,6 +30,7 @@ from uvgs_bench.interop.bag_framing import (
     skip_to,
     take,
     take_chunk,
+    trusted,
     unpacked,
 )
 from uvgs_bench.units import NS_PER_S
@@ -38,6 +39,11 @@ ROS1_MAGIC = b"#ROSBAG V2.0\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 # Headers of records hold a few short fields; a larger number is no length.
 _MOST_HEADER = 1 << 20
+# Where the index of a bag whose header is wrong is looked for.
+_INDEX_BYTES = 1 << 23
+# The field by which a record of a connection is found; writers put it first in the header, or behind the number.
+_ROS1_CONNECTION = re.compile(rb"\x04\x00\x00\x00op=\x07")
+_OP_FIRST, _CONN_FIRST = 4, 17
 # After so many row numbers without a readable row a database has ended.
 _MOST_MISSING_ROWS = 1000
 # A chunk's header in either order of its fields that writers use.
@@ -61,25 +67,36 @@ def scan_ros1(path: Path, report: Report) -> Iterator[Record]:
         size = path.stat().st_size
         channels = _ros1_index(file, size)
         file.seek(len(ROS1_MAGIC))
+        start = file.tell()
+        held: list[Record] = []
         while file.tell() < size:
-            start = file.tell()
+            # Of what makes no sense the length of the record before may be the cause.
+            resume, start = start + 1, file.tell()
             try:
                 fields, length = _ros1_head(file, size)
                 op = fields.get(b"op", b"")
                 if op != b"\x05":
-                    yield from _ros1_record(op, fields, take(file, length, size), channels, start, report)
+                    found = list(_ros1_record(op, fields, take(file, length, size), channels, start, report))
+                    yield from held
+                    held = found
                     continue
+                yield from held
+                held = []
                 if length == 0 and fields.get(b"compression") == b"none":
                     # The chunk a recorder was writing when it stopped: its length was never filled in.
                     continue
+                resume = start + 1
                 payload, is_whole = take_chunk(file, length or size - file.tell(), size)
                 yield from _ros1_chunk(fields, payload, is_whole and length > 0, channels, start, report)
                 if not is_whole:
                     raise FormatError("ends in the middle of a chunk")
             except (FormatError, struct.error) as error:
+                yield from trusted(held, error)
+                held = []
                 report(str(error) or "makes no sense", start)
-                if not skip_to(file, start + 1, _ROS1_CHUNK, size):
+                if not skip_to(file, resume, _ROS1_CHUNK, size):
                     return
+        yield from held
 
 
 def scan_sqlite(path: Path, report: Report) -> Iterator[Record]:
@@ -110,8 +127,8 @@ def _sqlite_rows(base: sqlite3.Connection, channels: dict[int, BagChannel], repo
         try:
             for row, topic, log_ns, data in base.execute(query, (last + missing,)):
                 last, lost, missing = row, lost + missing, 0
-                if topic in channels and isinstance(data, bytes):
-                    yield channels[topic], int(log_ns), data
+                if topic in channels and isinstance(data, bytes) and isinstance(log_ns, int):
+                    yield channels[topic], log_ns, data
                 elif topic not in strange:
                     strange.add(topic)
                     report(f"messages of topic number {topic}, which it does not name, are left out", -1)
@@ -202,14 +219,16 @@ def _sqlite_channels(base: sqlite3.Connection) -> dict[int, BagChannel]:
         for name, kind, text in base.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         ):
-            definitions[name] = (text, "idl" if "idl" in kind else "msg")
+            definitions[name] = (str(text), "idl" if "idl" in str(kind) else "msg")
     except sqlite3.DatabaseError:
         pass  # older recorders wrote no definitions
-    rows = base.execute("SELECT id, name, type FROM topics").fetchall()
-    return {
-        number: BagChannel(topic, full_msgtype(name), "cdr", *definitions.get(name, ("", "msg")))
-        for number, topic, name in rows
-    }
+    channels = {}
+    for number, topic, name in base.execute("SELECT id, name, type FROM topics").fetchall():
+        # What is no name stays out; its messages are then told.
+        with suppress(FormatError):
+            definition = definitions.get(name, ("", "msg"))
+            channels[number] = BagChannel(str(topic), full_msgtype(str(name)), "cdr", *definition)
+    return channels
 
 
 def _ros1_fields(header: bytes, offset: int) -> dict[bytes, bytes]:
@@ -238,19 +257,32 @@ def _ros1_head(file: BinaryIO, size: int) -> tuple[dict[bytes, bytes], int]:
 def _ros1_index(file: BinaryIO, size: int) -> dict[int, BagChannel]:
     """The connections its index names, as far as there is one: their records in a lost chunk are then not missed."""
     channels: dict[int, BagChannel] = {}
-    try:
-        file.seek(len(ROS1_MAGIC))
+    file.seek(len(ROS1_MAGIC))
+    start = 0
+    with suppress(FormatError, struct.error):
         head, _ = _ros1_head(file, size)
         (start,) = struct.unpack("<Q", head.get(b"index_pos", b""))
-        file.seek(start or size)
-        while file.tell() < size:
-            fields, length = _ros1_head(file, size)
-            if fields.get(b"op") != b"\x07":
-                break
-            list(_ros1_record(b"\x07", fields, take(file, length, size), channels, 0, lambda _text, _offset: None))
-    except (FormatError, struct.error):
-        pass  # the index is what may be broken
+    while 0 < start < size and (end := _ros1_connection(file, start, size, channels)):
+        start = end
+    if not channels:
+        # Bytes are missing, so the index is not where the header says; it is near the end.
+        first = max(0, size - _INDEX_BYTES)
+        file.seek(first)
+        for found in _ROS1_CONNECTION.finditer(file.read()):
+            for before in (_OP_FIRST, _CONN_FIRST):
+                _ros1_connection(file, first + found.start() - before, size, channels)
     return channels
+
+
+def _ros1_connection(file: BinaryIO, start: int, size: int, channels: dict[int, BagChannel]) -> int:
+    """Read a record of a connection; the answer is where it ends, or 0 when there is none."""
+    with suppress(FormatError, struct.error):
+        file.seek(max(0, start))
+        fields, length = _ros1_head(file, size)
+        if fields.get(b"op") == b"\x07":
+            list(_ros1_record(b"\x07", fields, take(file, length, size), channels, 0, lambda _text, _offset: None))
+            return file.tell()
+    return 0
 
 
 def _ros1_record(
@@ -297,6 +329,7 @@ def _ros1_chunk(
                 record.get(b"op", b""), record, take(inner, length, len(data)), channels, offset, report
             )
     except (FormatError, struct.error) as error:
+        found = trusted(found, error, is_cut=not is_whole)
         if is_whole:
             report(f"a chunk is broken: {error}", offset)
     yield from sorted(found, key=lambda record: record[1])

@@ -16,6 +16,7 @@ from typing import BinaryIO
 
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop.bag_framing import (
+    CUT,
     BagChannel,
     Record,
     Report,
@@ -23,6 +24,7 @@ from uvgs_bench.interop.bag_framing import (
     skip_to,
     take,
     take_chunk,
+    trusted,
     unpacked,
 )
 
@@ -56,29 +58,40 @@ def scan_mcap(path: Path, report: Report) -> Iterator[Record]:
         _read_summary(file, size, tables)
         file.seek(len(MCAP_MAGIC))
         is_closed = False
+        start = file.tell()
+        held: list[Record] = []
         while file.tell() < size and not is_closed:
-            start = file.tell()
+            # Of what makes no sense the length of the record before may be the cause.
+            resume, start = start + 1, file.tell()
             try:
                 op, length = struct.unpack("<BQ", take(file, 9, size))
                 if op in (_FOOTER, _DATA_END):
                     is_closed = True
                 elif op == _CHUNK:
+                    yield from held
+                    held = []
+                    resume = start + 1
                     payload, is_whole = take_chunk(file, length, size)
                     yield from _mcap_chunk(payload, is_whole, tables, start)
                     if not is_whole:
                         raise FormatError("ends in the middle of a chunk")
                 elif op in (_SCHEMA, _CHANNEL, _MESSAGE):
-                    yield from _mcap_record(op, take(file, length, size), tables, start)
+                    found = list(_mcap_record(op, take(file, length, size), tables, start))
+                    yield from held
+                    held = found
                 elif 0 < op < _FIRST_PRIVATE or op >= 0x80:
                     if file.tell() + length > size:
-                        raise FormatError("ends in the middle of a record")
+                        raise FormatError(CUT)
                     file.seek(length, io.SEEK_CUR)
                 else:
                     raise FormatError("holds no record")
             except (FormatError, struct.error, UnicodeDecodeError) as error:
+                yield from trusted(held, error)
+                held = []
                 report(str(error) or "makes no sense", start)
-                if not skip_to(file, start + 1, _MCAP_CHUNK, size):
+                if not skip_to(file, resume, _MCAP_CHUNK, size):
                     return
+        yield from held
         if not is_closed:
             report("ends without its closing record", size)
 
@@ -122,6 +135,8 @@ def _strings(data: bytes, at: int, count: int) -> tuple[list[bytes], int]:
     found = []
     for _ in range(count):
         (length,) = struct.unpack_from("<I", data, at)
+        if at + 4 + length > len(data):
+            raise FormatError("holds no record")
         found.append(data[at + 4 : at + 4 + length])
         at += 4 + length
     return found, at
@@ -172,7 +187,10 @@ def _mcap_chunk(payload: bytes, is_whole: bool, tables: _McapTables, offset: int
             record = take(inner, length, len(data))
             if op in (_SCHEMA, _CHANNEL, _MESSAGE):
                 found += _mcap_record(op, record, tables, offset)
+            elif op == 0 or _FIRST_PRIVATE <= op < 0x80:
+                raise FormatError("holds no record")
     except (FormatError, struct.error, UnicodeDecodeError) as error:
+        found = trusted(found, error, is_cut=not is_whole)
         if is_whole:
             tables.report(f"a chunk is broken: {error}", offset)
     yield from sorted(found, key=lambda record: record[1])
