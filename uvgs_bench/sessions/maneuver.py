@@ -13,6 +13,7 @@ from uvgs_bench.errors import CaptureError
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.navigation.trajectory import PathPoint, Trajectory, plan_trajectory
 from uvgs_bench.sensor.capture import Capture, ImageArray
+from uvgs_bench.sensor.clipping import clipped_led_count
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.sessions.beacon_group import GroupSensor, Sight
 from uvgs_bench.sessions.events import EventSink, Remark, StageAdvanced, StageFinished, StageStarted
@@ -65,6 +66,7 @@ class _Shot:
     told: FloatArray
     told_velocity: FloatArray
     place: int
+    clipped_leds: int | None
 
 
 @dataclass(slots=True)
@@ -269,7 +271,9 @@ def _shoot(
     else:
         sight = Sight(rig.sensor.solve(capture))
     image = capture.image if keeps_image else None
-    return _Shot(capture.t_ns, capture.exposure_s, image, sight, state.position, state.velocity, place)
+    led_px = sight.outcome.led_px
+    clipped = None if led_px is None else clipped_led_count(capture, led_px)
+    return _Shot(capture.t_ns, capture.exposure_s, image, sight, state.position, state.velocity, place, clipped)
 
 
 def _write(record: _Record, plan: Plan, writer: RunWriter) -> None:
@@ -340,4 +344,5 @@ def _sample(
         active=shot.sight.active,
         switched=shot.sight.switched,
         held_age_s=shot.sight.held_age_s,
+        clipped_leds=shot.clipped_leds,
     )
