@@ -6,7 +6,7 @@ LED names, residual arrows, the beacon's axes, the runner-up. Beside it: each li
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,8 @@ from uvgs_bench.sensor.blobs import Blobs, NoBlobs, bright_tiles, find_blobs, fu
 from uvgs_bench.sensor.capture import Capture
 from uvgs_bench.sensor.config import UvgsConfig
 from uvgs_bench.sensor.outcome import Miss, Outcome, PoseEstimate
+from uvgs_bench.sensor.overlay import BlobNote, arrow_gain, blob_notes, pose_marks
 from uvgs_bench.sensor.preprocess import intensity, segment
-from uvgs_bench.sensor.selection import gates, select_blobs
 from uvgs_bench.sensor.uvgs import Uvgs
 from uvgs_bench.store.documents import write_atomically
 from uvgs_bench.units import deg_from_rad, mm_from_m
@@ -32,55 +32,10 @@ GREEN, ORANGE, BLUE, MAGENTA, WHITE, GREY, RED = (
 _HEADER_PX, _LEGEND_PX, _SIDE_PX, _INSET_PX = 84, 30, 216, 196
 _INSETS = 4
 _LEAST_WIDTH_PX, _MOST_WIDTH_PX = 960, 1600
-_ARROW_PX = 45.0
 _GREATEST_AREA_PX2 = 1e6
 _BAR = (38, 34, 30)
 # Dim things become visible; the pixels of a debug image are not for measuring.
 _GAMMA = 0.55
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BlobNote:
-    """One blob as drawn.
-
-    Args:
-        index: Its number in the picture.
-        blob: Its row in ``Blobs``.
-        dropped: Why it was dropped; empty when it is a candidate.
-    """
-
-    index: int
-    blob: int
-    dropped: str
-
-
-def blob_notes(blobs: Blobs, uvgs: Uvgs) -> tuple[BlobNote, ...]:
-    """Which blobs the selection keeps, and why it drops the others.
-
-    Args:
-        blobs: All blobs of the picture.
-        uvgs: The sensor.
-
-    Returns:
-        One note per blob.
-    """
-    config = uvgs.config
-    chosen = select_blobs(blobs, uvgs.beacon, uvgs.calibration.lens.fx_px, config)
-    kept = None if isinstance(chosen, NoBlobs) else {tuple(px) for px in chosen.centroid_px.tolist()}
-    passed = gates(blobs, uvgs.beacon, uvgs.calibration.lens.fx_px, config)
-    notes = []
-    for i in range(len(blobs)):
-        reason = next((_failing(name, blobs, i) for name, gate in passed.items() if not gate[i]), "")
-        if not reason and kept is not None and tuple(blobs.centroid_px[i].tolist()) not in kept:
-            reason = "distance"
-        notes.append(BlobNote(i, i, reason))
-    return tuple(notes)
-
-
-def _failing(gate: str, blobs: Blobs, i: int) -> str:
-    """A gate a blob failed, with the value where the drawing does not show it."""
-    value = {"shape": blobs.circularity[i], "hue": blobs.hue_deg[i]}.get(gate)
-    return gate if value is None or np.isnan(value) else f"{gate} {value:.{2 if gate == 'shape' else 0}f}"
 
 
 def draw_debug_image(capture: Capture, outcome: Outcome, uvgs: Uvgs) -> Picture:
@@ -250,34 +205,24 @@ def _draw_blobs(pen: _Pen, blobs: Blobs, notes: tuple[BlobNote, ...], outcome: O
 
 
 def _draw_pose(pen: _Pen, pose: PoseEstimate, uvgs: Uvgs) -> None:
-    lens, beacon = uvgs.calibration.lens, uvgs.beacon
-    if pose.runner_up is not None:
-        other = lens.project(pose.runner_up.apply(beacon.positions_m))
+    marks = pose_marks(pose.camera_from_beacon, pose.runner_up, uvgs)
+    if marks.runner_up_px is not None:
+        other = marks.runner_up_px
         middle = np.nanmean(other, axis=0)
         for px in other[np.isfinite(other).all(axis=1)]:
             pen.line(middle, px, MAGENTA)
             pen.cross(px, MAGENTA, 13)
     gain = arrow_gain(pose.residual_px)
-    for led, px, residual in zip(beacon.leds, pose.led_px, pose.residual_px, strict=True):
+    for led, px, residual in zip(uvgs.beacon.leds, pose.led_px, pose.residual_px, strict=True):
         if not np.isfinite(px).all():
             continue
         pen.text(px, led.name, WHITE, dx=12, dy=-10, size=0.55)
         pen.arrow(px - residual, px - residual + gain * residual, RED)
-    reach = 0.5 * float(np.linalg.norm(np.ptp(beacon.positions_m, axis=0)))
-    ends = np.vstack([np.zeros(3), np.eye(3) * reach])
-    px = lens.project(pose.camera_from_beacon.apply(ends))
+    px = marks.axes_px
     for k, colour in ((1, (60, 60, 255)), (2, (60, 220, 60)), (3, (255, 120, 60))):
         if np.isfinite(px[[0, k]]).all():
             pen.line(px[0], px[k], colour, 2)
             pen.text(px[k], "xyz"[k - 1], colour, dx=4, dy=4)
-
-
-def arrow_gain(residual_px: FloatArray) -> int:
-    """How many times too long residual arrows are drawn: 1, 2, 5, 10 ... 500, so that the longest is well seen."""
-    longest = float(np.nanmax(np.linalg.norm(residual_px, axis=1), initial=0.0))
-    wanted = _ARROW_PX / max(longest, 1e-4)
-    steps = [m * 10**k for k in range(3) for m in (1, 2, 5)]
-    return max((s for s in steps if s <= wanted), default=1)
 
 
 def _header(width: int, capture: Capture, outcome: Outcome, uvgs: Uvgs, blobs: Blobs | NoBlobs) -> Picture:

@@ -10,6 +10,7 @@ from tests.helpers import spots
 from uvgs_bench.cli.app import main
 from uvgs_bench.sensor import Capture, PoseEstimate, Uvgs, UvgsConfig
 from uvgs_bench.sensor.blobs import NoBlobs, find_blobs
+from uvgs_bench.sensor.overlay import arrow_gain, blob_notes
 from uvgs_bench.sessions import debug_images as di
 from uvgs_bench.store.beacons import write_beacon
 from uvgs_bench.store.calibrations import write_calibration
@@ -55,7 +56,7 @@ def test_a_dropped_light_says_why():
     uvgs, capture = scene()
     blobs = find_blobs(capture, uvgs.config)
     assert not isinstance(blobs, NoBlobs)
-    notes = di.blob_notes(blobs, uvgs)
+    notes = blob_notes(blobs, uvgs)
     dropped = {note.dropped for note in notes if note.dropped}
     assert len(dropped) == 1
     assert dropped.pop().startswith(("shape", "area"))
@@ -82,9 +83,9 @@ def test_every_miss_can_be_drawn(image):
 
 
 def test_arrows_are_as_long_as_can_be_seen_and_no_longer():
-    assert di.arrow_gain(np.array([[0.1, 0.0], [np.nan, np.nan]])) == 200
-    assert di.arrow_gain(np.array([[90.0, 0.0]])) == 1
-    assert di.arrow_gain(np.array([[1e-9, 0.0]])) == 500
+    assert arrow_gain(np.array([[0.1, 0.0], [np.nan, np.nan]])) == 200
+    assert arrow_gain(np.array([[90.0, 0.0]])) == 1
+    assert arrow_gain(np.array([[1e-9, 0.0]])) == 500
 
 
 def test_run_writes_one_image_per_capture(tmp_path):
