@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import StrEnum
 from math import isfinite
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uvgs_bench.cli.options import Json, Quiet, Seed
+
+if TYPE_CHECKING:
+    from uvgs_bench.sessions.figures_table import Figure
 
 
 class Part(StrEnum):
@@ -44,6 +48,7 @@ def missions(
         rows = [
             {
                 "part": name,
+                "of": heading,
                 "name": figure.name.strip(),
                 "wanted": figure.wanted,
                 "measured": figure.measured if isfinite(figure.measured) else None,
@@ -51,7 +56,7 @@ def missions(
                 "is_met": figure.is_met,
             }
             for name, figures in found.items()
-            for figure in figures
+            for heading, figure in _with_headings(figures)
         ]
         emit_json({"seed": seed, "figures": rows})
     else:
@@ -69,3 +74,12 @@ def missions(
         out.print(table)
     is_missed = any(figure.is_met is False for figures in found.values() for figure in figures)
     raise typer.Exit(int(ExitCode.LIMITS_MISSED if is_missed else ExitCode.DONE))
+
+
+def _with_headings(figures: tuple[Figure, ...]) -> Iterator[tuple[str, Figure]]:
+    """Each figure with the name of the one it is indented under, empty for one that is not."""
+    heading = ""
+    for figure in figures:
+        is_part = figure.name.startswith(" ")
+        heading = heading if is_part else figure.name
+        yield heading if is_part else "", figure
