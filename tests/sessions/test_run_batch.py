@@ -280,3 +280,15 @@ def test_options_of_a_batch_need_one(bench, tmp_path, capfd):
     ):
         assert uvgs(*words) in (2, 4)
         assert said in " ".join(capfd.readouterr().err.split())
+
+
+def test_what_a_run_warns_of_is_not_hidden_by_the_batch():
+    said = "warning: bag: 3 chunks are damaged\nwarning: bag: 3 chunks are damaged\ninfo: x\nwarning: cores clip\n"
+    summary = {"captures": 3, "poses": 2, "held": 0, "misses": {}, "out": "p.csv", "failures": []}
+    facts = batch._facts(0, json.dumps(summary), said)
+    assert facts["warnings"] == ("bag: 3 chunks are damaged", "cores clip")
+    assert (facts["error"], facts["written"]) == ("", ("p.csv",))
+    assert batch._facts(4, "", "warning: w\nerror: no such file\n")["error"] == "no such file"
+    assert batch._facts(4, json.dumps(summary | {"failures": ["r.mcap: full"]}), "")["error"] == "r.mcap: full"
+    assert batch._facts(-9, "", "")["error"] == "its process was ended by SIGKILL"
+    assert batch._facts(70, "", "Traceback\nKeyError: 1\n")["error"] == "KeyError: 1"

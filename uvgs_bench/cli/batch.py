@@ -147,6 +147,7 @@ def _facts(results: Sequence[SourceResult], where: Path) -> dict[str, object]:
                 "held": result.held,
                 "misses": result.misses,
                 "error": result.error or None,
+                "warnings": list(result.warnings),
                 "was_done": result.was_done,
                 "out": list(result.written),
             }
@@ -181,6 +182,8 @@ def _print(results: Sequence[SourceResult], where: Path) -> None:
             said = f"[red]failed ({result.code}):[/] {escape(result.error)}"
         elif not result.poses:
             said = f"[yellow]no pose[/] {said}"
+        if result.warnings:
+            said += f" [yellow]{len(result.warnings)} warning{'s' if len(result.warnings) > 1 else ''}, below[/]"
         table.add_row(
             escape(result.source),
             str(result.captures),
@@ -191,5 +194,8 @@ def _print(results: Sequence[SourceResult], where: Path) -> None:
     out.print(table)
     done, poses = sum(result.is_done for result in results), sum(result.poses for result in results)
     captures = sum(result.captures for result in results)
+    for result in results:
+        for text in result.warnings:
+            out.print(f"[yellow]warning:[/] {escape(result.source)}: {escape(text)}", soft_wrap=True)
     out.print(f"{done} of {len(results)} sources done, {poses} of {captures} captures with a pose")
     print_path("results", where)

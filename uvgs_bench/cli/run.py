@@ -187,7 +187,10 @@ def run(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Solve every capture and write its pose, or why there is none. Ctrl-C keeps what was written."""
+    """Solve every capture and write its pose, or why there is none. Ctrl-C keeps what was written.
+
+    Ends with 3 when there was no pose at all, 4 when an output is not whole.
+    """
     from time import perf_counter
 
     from uvgs_bench.cli import run_record

@@ -37,6 +37,7 @@ NAME = "{}"
 """Stands for the name of the source in the path of an output."""
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+]*:(?!//)")
+_MOST_WARNINGS = 20
 _DONE = (ExitCode.DONE, ExitCode.INCONCLUSIVE)
 
 
@@ -77,6 +78,7 @@ class SourceResult:
         held: Poses repeated.
         misses: Misses by ``stage/reason``.
         error: Why it failed, in one line; empty when it did not.
+        warnings: What its run warned of: damage, lights that clip, cameras that did not obey.
         was_done: Whether it was done by an earlier batch.
     """
 
@@ -90,6 +92,7 @@ class SourceResult:
     held: int = 0
     misses: dict[str, int] = field(default_factory=dict)
     error: str = ""
+    warnings: tuple[str, ...] = ()
     was_done: bool = False
 
     @property
@@ -207,7 +210,7 @@ def run_source(words: Sequence[str], folder: str) -> dict[str, Any]:
         folder: Where to run.
 
     Returns:
-        ``code``, the counts, and ``error``.
+        ``code``, the counts, ``error`` and ``warnings``.
     """
     environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
     # In a session of its own: Ctrl-C at the terminal reaches it once, through the batch.
@@ -274,7 +277,7 @@ class _Before:
                 self.begun.update(row.get("begun", ()))
                 if "result" in row:
                     entry = row["result"]
-                    lists = {name: tuple(entry[name]) for name in ("outputs", "written")}
+                    lists = {name: tuple(entry[name]) for name in ("outputs", "written", "warnings")}
                     result = SourceResult(**(entry | lists | {"was_done": True}))
                     if result.is_done:
                         self.done[result.key] = result
@@ -314,16 +317,18 @@ def _facts(code: int, out: str, said: str) -> dict[str, Any]:
         failures = summary.get("failures", [])
     except (ValueError, KeyError, TypeError):
         counts, failures = {}, []
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    warnings = dict.fromkeys(line.removeprefix("warning: ")[:400] for line in lines if line.startswith("warning: "))
     if code < 0:
         error = f"its process was ended by {signal.Signals(-code).name}"
     elif code in _DONE:
         error = ""
     else:
-        lines = [line.strip() for line in said.splitlines() if line.strip()]
         error = (failures or [line for line in lines if line.startswith("error:")] or lines or [f"exit code {code}"])[
             -1
         ]
-    return {"code": code, **counts, "error": error.removeprefix("error: ")[:400]}
+    told = tuple(warnings)[:_MOST_WARNINGS]
+    return {"code": code, **counts, "error": error.removeprefix("error: ")[:400], "warnings": told}
 
 
 def _note(stream: TextIO, row: dict[str, Any]) -> None:
