@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from uvgs_bench.accuracy.distributions import f_tail
 from uvgs_bench.accuracy.observations import Mount
 from uvgs_bench.camera.boards import BoardView
 from uvgs_bench.camera.calibration import Calibration
@@ -318,8 +319,6 @@ class _Fit:
         J: FloatArray,
     ) -> tuple[float, float]:
         """Largest deviation of an axis from a constant scale, m, and the chance of it without any: a Wald test."""
-        from scipy.stats import f
-
         q = self.positions_m[:, axis]
         half = 0.5 * float(np.ptp(q))
         place_count = 1 + int(np.sum(np.diff(np.sort(q)) > _APART * half))
@@ -336,7 +335,7 @@ class _Fit:
         _, covariance = self._solved(residual - wide @ step, wide)
         c, C = step[-len(orders) :], covariance[-len(orders) :, -len(orders) :]
         square = float(c @ np.linalg.solve(C, c)) / len(orders)
-        chance = float(f.sf(square, len(orders), max(1, len(q) - wide.shape[1])))
+        chance = f_tail(square, len(orders), max(1, len(q) - wide.shape[1]))
         curve = np.polynomial.legendre.legval(np.linspace(-1.0, 1.0, 41), basis @ c)
         return float(np.abs(curve).max()), chance
 

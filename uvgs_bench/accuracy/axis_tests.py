@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uvgs_bench.accuracy.distributions import chi2_quantile, f_quantile
 from uvgs_bench.errors import RegistrationError
 from uvgs_bench.geometry import FloatArray
 
@@ -157,8 +158,6 @@ def fit_dead_band(commands_m: FloatArray, readings_m: FloatArray) -> DeadBand:
     turns = int(np.sum(np.diff(np.sign(np.diff(commands_m))) != 0.0))
     if N < 8 or turns < 1:
         raise RegistrationError(f"a dead band needs 8 readings and a reversal, got {N} and {turns}")
-    from scipy.stats import f
-
     span = float(np.ptp(commands_m))
     grid = np.linspace(0.0, _WIDEST_SHARE * span, _GRID)
     squares = np.array([_played_square(commands_m, readings_m, width) for width in grid])
@@ -169,7 +168,7 @@ def fit_dead_band(commands_m: FloatArray, readings_m: FloatArray) -> DeadBand:
     width = _smallest(lambda w: _played_square(commands_m, readings_m, w), low, high)
     least = _played_square(commands_m, readings_m, width)
     # Where the noise is large against the way, the sum of squares is no parabola: what it still allows is looked up.
-    allowed = least * (1.0 + float(f.ppf(0.95, 1, N - 3)) / (N - 3)) + 1e-24
+    allowed = least * (1.0 + f_quantile(0.95, 1, N - 3) / (N - 3)) + 1e-24
     inside = np.flatnonzero(squares <= allowed)
     first, last = (int(inside[0]), int(inside[-1])) if len(inside) else (best, best)
 
@@ -285,11 +284,9 @@ def scatter_of(readings_m: FloatArray) -> Scatter:
     Raises:
         RegistrationError: Fewer than two readings.
     """
-    from scipy.stats import chi2
-
     N = len(readings_m)
     if N < 2:
         raise RegistrationError(f"a scatter needs two readings, got {N}")
     sigma = float(np.std(readings_m, ddof=1))
-    low, high = (sigma * float(np.sqrt((N - 1) / chi2.ppf(q, N - 1))) for q in (0.975, 0.025))
+    low, high = (sigma * float(np.sqrt((N - 1) / chi2_quantile(q, N - 1))) for q in (0.975, 0.025))
     return Scatter(sigma, low, high, N)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from uvgs_bench.accuracy.distributions import t_quantiles
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.units import NS_PER_S
@@ -55,9 +56,7 @@ class AxisTerms:
     @property
     def half_widths(self) -> FloatArray:
         """Half of the 95 % intervals of scales and shears, shape (6,), 1 and rad; zero where held."""
-        from scipy import stats
-
-        return read_only(self.sigmas * stats.t.ppf(0.975, self.degrees_of_freedom))
+        return read_only(self.sigmas * t_quantiles(0.975, self.degrees_of_freedom))
 
 
 def axis_matrix(errors: FloatArray) -> FloatArray:

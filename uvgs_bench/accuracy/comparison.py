@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES
+from uvgs_bench.accuracy.distributions import t_quantile, t_tail
 from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.geometry import FloatArray
 
@@ -262,12 +263,10 @@ def _difference_variance(first: dict[float, float], second: dict[float, float], 
 
 def _student(change: float, sigma: float, freedom: float) -> tuple[tuple[float, float], float, float]:
     """95 % interval, two-sided p-value, and half width."""
-    from scipy import stats
-
-    reach = float(stats.t.ppf(1.0 - _TAIL, freedom)) * sigma
+    reach = t_quantile(1.0 - _TAIL, freedom) * sigma
     if sigma <= 0.0:
         return (change, change), 1.0 if change == 0.0 else 0.0, 0.0
-    p = 2.0 * float(stats.t.sf(abs(change) / sigma, freedom))
+    p = 2.0 * t_tail(abs(change) / sigma, freedom)
     return (change - reach, change + reach), p, reach
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from uvgs_bench.accuracy.bench_model import gantry_covariance, pose_residuals
 from uvgs_bench.accuracy.cause_signatures import Signature, is_turned_away, signatures
 from uvgs_bench.accuracy.centroid_noise import noise_at_predictions
+from uvgs_bench.accuracy.distributions import chi2_tails, f_quantile, f_tail, noncentral_f_tail, t_quantile
 from uvgs_bench.accuracy.least_squares import usual_distance
 from uvgs_bench.accuracy.led_evidence import blamed_leds
 from uvgs_bench.accuracy.observations import Observations
@@ -175,8 +176,6 @@ class _Search:
 
     def stray_places(self) -> NDArray[np.int64]:
         """Places that nothing explains: a disturbed capture must not look like a cause."""
-        from scipy.stats import chi2
-
         found: list[int] = []
         if not self.has_all:
             return np.array(found, dtype=np.int64)
@@ -185,7 +184,7 @@ class _Search:
         for block in self.visits.blocks:
             rows = self.unexplained[first : first + 6 * block.size].reshape(len(block), -1)
             first += 6 * block.size
-            is_stray = chi2.sf((rows**2).sum(axis=1), rows.shape[1]) < _STRAY / len(self.visits.residual)
+            is_stray = chi2_tails((rows**2).sum(axis=1), rows.shape[1]) < _STRAY / len(self.visits.residual)
             found += places[block[is_stray, 0]].tolist()
         return np.array(found, dtype=np.int64)
 
@@ -248,10 +247,8 @@ class _Search:
         return float(((np.linalg.qr(free)[0].T @ left) ** 2).sum())
 
     def _chance(self, gain: float, k: int) -> float:
-        from scipy.stats import f
-
         p = self.columns[k].shape[1]
-        return float(f.sf(gain / p, p, self.freedom))
+        return f_tail(gain / p, p, self.freedom)
 
     def _weight(self, k: int) -> float:
         """What the parameters of a cause must explain to be worth having."""
@@ -261,8 +258,6 @@ class _Search:
     def _described(
         self, chosen: list[int], found: list[tuple[float, float, list[Signature]]], aside: int
     ) -> tuple[Suspect, ...]:
-        from scipy.stats import t as student
-
         if not chosen:
             return ()
         design = np.concatenate([self.registering, *(self.columns[k] for k in chosen)], axis=1)
@@ -270,7 +265,7 @@ class _Search:
         length[length == 0.0] = 1.0
         inverse = np.linalg.pinv(design / length, rcond=1e-10) / length[:, None]
         size, doubt = inverse @ self.observed, inverse @ inverse.T
-        reach = float(student.ppf(0.975, self.freedom))
+        reach = t_quantile(0.975, self.freedom)
         suspects = []
         first = self.registering.shape[1]
         total = float(self.left @ self.left)
@@ -327,10 +322,9 @@ def _explained(visits: Visits, averaged: list[FloatArray]) -> tuple[FloatArray, 
 def _gain_for_power(chance: float, freedom: int) -> float:
     """Squared residual a cause with one size must explain, so that the F test at a chance finds it 19 times of 20."""
     from scipy.optimize import brentq
-    from scipy.stats import f, ncf
 
-    bound = float(f.isf(chance, 1, freedom))
-    return float(brentq(lambda gain: float(ncf.sf(bound, 1, freedom, gain)) - _POWER, bound, 25.0 * bound))
+    bound = f_quantile(1.0 - chance, 1, freedom)
+    return float(brentq(lambda gain: noncentral_f_tail(bound, 1, freedom, gain) - _POWER, bound, 25.0 * bound))
 
 
 def _lengths(residual: FloatArray, covariance: FloatArray) -> FloatArray:

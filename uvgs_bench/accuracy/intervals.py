@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import TAIL, Clusters, Estimate, mean_squares, worth
+from uvgs_bench.accuracy.distributions import chi2_quantile, f_quantile, normal_quantile, t_quantile
 from uvgs_bench.geometry import FloatArray
 
 # Of a normal distribution, leaving ``TAIL`` at each end.
@@ -195,9 +196,7 @@ def _log_interval(
 
 def _mean_radius(deviations: FloatArray, shared: FloatArray, S: int) -> float:
     """Radius around the mean vector that holds the true one with 95 %: its length can be off by no more."""
-    from scipy import stats
-
-    small = np.sqrt(S / (S - 1.0)) * stats.t.ppf(1.0 - TAIL, S - 1) / stats.norm.ppf(1.0 - TAIL)
+    small = np.sqrt(S / (S - 1.0)) * t_quantile(1.0 - TAIL, S - 1) / normal_quantile(1.0 - TAIL)
     return float(np.quantile(np.linalg.norm(small * deviations + shared, axis=1), 1.0 - 2.0 * TAIL))
 
 
@@ -211,8 +210,6 @@ def within_and_between(errors: FloatArray, clusters: Clusters) -> tuple[Estimate
     Returns:
         Within, between; without a figure when every place has one capture.
     """
-    from scipy import stats
-
     n, S = clusters.captures, clusters.count
     if S < 2 or n == S:
         nothing = clusters.estimate(np.nan, 0.0, np.inf, "needs stations with more than one capture")
@@ -231,7 +228,7 @@ def within_and_between(errors: FloatArray, clusters: Clusters) -> tuple[Estimate
     ratio = between / within
     df = directions(means) * (S - 1), directions(errors - means[clusters.index]) * (n - S)
     ends = [
-        between * df[0] / (size * stats.chi2.ppf(q, df[0])) * (1.0 - stats.f.ppf(q, *df) / ratio)
+        between * df[0] / (size * chi2_quantile(q, df[0])) * (1.0 - f_quantile(q, *df) / ratio)
         for q in (1.0 - TAIL, TAIL)
     ]
     ends = [float(np.sqrt(max(end, 0.0))) for end in ends]

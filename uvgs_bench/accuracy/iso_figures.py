@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, TAIL, Clusters, Estimate
+from uvgs_bench.accuracy.distributions import chi2_quantile, f_quantile
 from uvgs_bench.accuracy.intervals import directions, ratio_interval
 from uvgs_bench.geometry import FloatArray
 
@@ -97,8 +98,6 @@ def drift(
     Returns:
         The length with its interval; the counts are those of the visits' places.
     """
-    from scipy import stats
-
     visits, of_visit, size = np.unique(station, return_inverse=True, return_counts=True)
     V = len(visits)
     means = np.stack([np.bincount(of_visit, column, V) / size for column in errors.T], axis=1)
@@ -128,7 +127,7 @@ def drift(
         return Estimate(value, 0.0, np.inf, used, captures, note)
     residual = centred - tau[:, None] * slope
     variance = float((residual**2).sum(axis=0).max()) / degrees / power
-    reach = float(np.sqrt(3.0 * stats.f.ppf(1.0 - 2.0 * TAIL, 3, max(degrees - 2, 1)) * variance)) * span_s
+    reach = float(np.sqrt(3.0 * f_quantile(1.0 - 2.0 * TAIL, 3, max(degrees - 2, 1)) * variance)) * span_s
     return Estimate(value, max(value - reach, 0.0), value + reach, used, captures)
 
 
@@ -214,6 +213,5 @@ def precision(errors: FloatArray, clusters: Clusters, run: NDArray[np.int64]) ->
 
 def _chi2_ends(freedom: float) -> tuple[float, float]:
     """Factors from a mean square to the ends of the interval of its variance."""
-    from scipy import stats
-
-    return float(freedom / stats.chi2.ppf(1.0 - TAIL, freedom)), float(freedom / stats.chi2.ppf(TAIL, freedom))
+    least = chi2_quantile(TAIL, freedom)
+    return freedom / chi2_quantile(1.0 - TAIL, freedom), freedom / least if least > 0.0 else float("inf")

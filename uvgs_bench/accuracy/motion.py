@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, TAIL, Clusters, Estimate
+from uvgs_bench.accuracy.distributions import t_quantile
 from uvgs_bench.accuracy.intervals import moment_intervals
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable
@@ -32,8 +33,6 @@ def lag_of(obs: Observations, moving: ErrorTable, registration: Registration) ->
     Returns:
         The lag, s; without a figure when motion is all one way, since a lag is then a shift.
     """
-    from scipy import stats
-
     if moving.count == 0:
         return Estimate(np.nan, -np.inf, np.inf, 0, 0, _STILL)
     e = moving.translation_error_m
@@ -57,7 +56,7 @@ def lag_of(obs: Observations, moving: ErrorTable, registration: Registration) ->
     scores = np.bincount(index, (centred_v * rest).sum(axis=1), S)
     # Two fitted figures along the direction of motion: the lag and a constant.
     sigma = float(np.sqrt(S / (S - 2.0) * (scores**2).sum())) / power
-    reach = float(stats.t.ppf(1.0 - TAIL, S - 2)) * sigma
+    reach = t_quantile(1.0 - TAIL, S - 2) * sigma
     return Estimate(value, value - reach, value + reach, S, n, "", worth)
 
 

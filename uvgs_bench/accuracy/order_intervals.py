@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.clusters import TAIL, Clusters, Estimate, worth
+from uvgs_bench.accuracy.distributions import beta_quantile, binomial_cdf, binomial_quantile
 from uvgs_bench.geometry import FloatArray
 
 # log(0.05) / log(0.95), rounded up.
@@ -29,13 +30,11 @@ def quantile_interval(sizes: FloatArray, level: float, clusters: Clusters) -> Es
     Returns:
         The estimate; its upper end is infinite when even the largest value need not reach the quantile.
     """
-    from scipy import stats
-
     ordered = np.sort(sizes)
     value = float(np.quantile(ordered, level))
     trials = int(worth(sizes, clusters))
-    lower = int(stats.binom.ppf(TAIL, trials, level))
-    upper = int(stats.binom.ppf(1.0 - TAIL, trials, level)) + 1
+    lower = binomial_quantile(TAIL, trials, level)
+    upper = binomial_quantile(1.0 - TAIL, trials, level) + 1
     # Seen from above, a lower end is the upper end of the complement.
     low = -_interpolated(-ordered[::-1], trials, 1.0 - level, trials + 1 - lower) if lower >= 1 else 0.0
     if upper > trials:
@@ -51,10 +50,8 @@ def _interpolated(ordered: FloatArray, trials: int, level: float, rank: int) -> 
 
     Source: J. Nyblom, Note on interpolated order statistics, 1992.
     """
-    from scipy import stats
-
     wanted = 1.0 - TAIL
-    less, more = (float(stats.binom.cdf(r - 1, trials, level)) for r in (rank - 1, rank))
+    less, more = (binomial_cdf(r - 1, trials, level) for r in (rank - 1, rank))
     share = 1.0
     if rank > 1 and less < wanted < more and rank <= trials:
         odds = (rank - 1) * (1.0 - level) * (more - wanted) / ((trials - rank + 1) * level * (wanted - less))
@@ -101,12 +98,10 @@ def tolerance_bound(sizes: FloatArray, level: float, clusters: Clusters) -> Esti
         Value and upper end: the bound; lower end: what the quantile exceeds with 95 % confidence. With too few places
         the value is the largest seen and the upper end infinite.
     """
-    from scipy import stats
-
     n, trials = len(sizes), clusters.count
     ordered = np.sort(sizes)
-    upper = int(stats.binom.ppf(1.0 - 2.0 * TAIL, trials, level)) + 1
-    lower = int(stats.binom.ppf(2.0 * TAIL, trials, level))
+    upper = binomial_quantile(1.0 - 2.0 * TAIL, trials, level) + 1
+    lower = binomial_quantile(2.0 * TAIL, trials, level)
     low = float(ordered[int(np.floor((lower - 1) / trials * n))]) if lower >= 1 else 0.0
     if upper > trials:
         needed = int(np.ceil(np.log(2.0 * TAIL) / np.log(level)))
@@ -126,12 +121,10 @@ def fraction_interval(successes: NDArray[np.bool_], clusters: Clusters) -> Estim
     Returns:
         The estimate.
     """
-    from scipy import stats
-
     value = float(successes.mean())
     # Without a single failure (or success) nothing is known about how they cluster: a place is then one trial.
     trials = float(clusters.count) if value in (0.0, 1.0) else worth(successes.astype(np.float64), clusters)
     k = value * trials
-    low = float(stats.beta.ppf(TAIL, k, trials - k + 1.0)) if k > 0.0 else 0.0
-    high = float(stats.beta.ppf(1.0 - TAIL, k + 1.0, trials - k)) if k < trials else 1.0
+    low = beta_quantile(TAIL, k, trials - k + 1.0) if k > 0.0 else 0.0
+    high = beta_quantile(1.0 - TAIL, k + 1.0, trials - k) if k < trials else 1.0
     return clusters.estimate(value, low, high, worth=trials)

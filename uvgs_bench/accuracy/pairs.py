@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uvgs_bench.accuracy.clusters import LEAST_PLACES, TAIL, Estimate
+from uvgs_bench.accuracy.distributions import t_quantile
 from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.accuracy.tangent import hats, rotation_logs
 from uvgs_bench.geometry import FloatArray
@@ -126,8 +127,6 @@ def pair_rms(values: FloatArray, factor: FloatArray, pairs: Pairs) -> Estimate:
     Returns:
         The figure; without an interval when there are too few places.
     """
-    from scipy import stats
-
     S = pairs.place_count
     if pairs.count == 0:
         return Estimate(np.nan, 0.0, np.inf, S, pairs.capture_count, "needs captures at two places or more")
@@ -145,7 +144,7 @@ def pair_rms(values: FloatArray, factor: FloatArray, pairs: Pairs) -> Estimate:
     shared = float((factor**2).sum()) / pairs.count
     through = 2.0 * np.einsum("pd,pdk->k", values, factor) / pairs.count
     sigma = float(np.sqrt(own + through @ through)) / mean
-    reach = float(stats.t.ppf(1.0 - TAIL, S - 1)) * sigma
+    reach = t_quantile(1.0 - TAIL, S - 1) * sigma
     low, high = mean * np.exp(-reach) - shared, mean * np.exp(min(reach, 50.0))
     ends = float(np.sqrt(max(low, 0.0))), float(np.sqrt(high))
     return Estimate(float(np.sqrt(mean)), *ends, S, pairs.capture_count)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from uvgs_bench.accuracy.bench_model import carriage_motion, predicted, prediction_jacobian
 from uvgs_bench.accuracy.bench_terms import TERM_COUNT, AxisTerms, moved_carriage_m, term_jacobian
 from uvgs_bench.accuracy.clusters import Estimate
+from uvgs_bench.accuracy.distributions import t_quantiles
 from uvgs_bench.accuracy.least_squares import LEAST_SIGMA_M, Alignment, usual_distance
 from uvgs_bench.accuracy.observability import blind_spots, gauge_transform, in_gauge, mounted_slice
 from uvgs_bench.accuracy.observations import Mount, Observations
@@ -275,8 +276,6 @@ def _with_terms(
     places: int,
 ) -> tuple[FloatArray, dict[str, Any]]:
     """Covariance of the poses with the doubt of the terms in it, and the terms as a registration carries them."""
-    from scipy import stats
-
     if not found.taken:
         return covariance, {"term_notes": found.notes}
     of_terms = found.covariance
@@ -284,7 +283,7 @@ def _with_terms(
     joint = response @ of_terms @ response.T
     joint[:12, :12] += covariance
     values, vectors = np.linalg.eigh(0.5 * (joint + joint.T))
-    reach = np.asarray(stats.t.ppf(0.975, found.degrees_of_freedom))
+    reach = t_quantiles(0.975, found.degrees_of_freedom)
     sigmas = np.sqrt(np.maximum(np.diag(of_terms), 0.0))
 
     def estimate(k: int) -> Estimate:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from uvgs_bench.accuracy.clusters import Clusters, Estimate
+from uvgs_bench.accuracy.distributions import chi2_quantile
 from uvgs_bench.accuracy.error_groups import groups
 from uvgs_bench.accuracy.intervals import moment_intervals, ratio_interval, within_and_between
 from uvgs_bench.accuracy.observations import Observations
@@ -224,8 +225,6 @@ def _by_range(solved: ErrorTable, rng: np.random.Generator) -> tuple[tuple[str, 
 
 
 def _consistency(solved: ErrorTable, clusters: Clusters) -> Consistency:
-    from scipy import stats
-
     total = clusters.sums(solved.nees) / _DOF
     value = float(total.sum()) / clusters.captures
     mean = clusters.unbounded(value)
@@ -233,7 +232,7 @@ def _consistency(solved: ErrorTable, clusters: Clusters) -> Consistency:
         mean = clusters.estimate(*ratio_interval(total, clusters.size, clusters))
     # Captures of a place share errors, so the band is that of as many samples as there are places.
     freedom = _DOF * clusters.count
-    band = [float(stats.chi2.ppf(q, freedom)) / freedom for q in (0.025, 0.975)]
+    band = [chi2_quantile(q, freedom) / freedom for q in (0.025, 0.975)]
     return Consistency(mean, band[0], band[1], *_honesty(mean, band[0], band[1]))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uvgs_bench.accuracy.distributions import beta_quantile, binomial_tail
 from uvgs_bench.accuracy.observations import Observations
 
 # The sensor's test refuses one fit of a thousand by chance at most, and a few more where its noise is stated too small.
@@ -120,11 +121,9 @@ def of_refusals(obs: Observations, blamed: tuple[str, ...]) -> Suspect | None:
     Returns:
         The suspect, or None when few fits were refused.
     """
-    from scipy.stats import binom
-
     count = sum(reason.rpartition("/")[2] in _REASONS for reason in obs.reason)
     tried = count + int(obs.is_solved.sum())
-    chance = float(binom.sf(count - 1, tried, _CHANCE)) if count else 1.0
+    chance = binomial_tail(count - 1, tried, _CHANCE) if count else 1.0
     if count < _LEAST_SHARE * tried or chance > _RARE:
         return None
     title = "the LEDs fit no pose: one of them is not where the beacon file says"
@@ -160,10 +159,8 @@ def _counted(
 
     Source: C. J. Clopper and E. S. Pearson, The use of confidence or fiducial limits (1934).
     """
-    from scipy.stats import beta
-
-    low = float(beta.ppf(0.025, count, total - count + 1))
-    high = float(beta.ppf(0.975, count + 1, total - count)) if count < total else 1.0
+    low = beta_quantile(0.025, count, total - count + 1)
+    high = beta_quantile(0.975, count + 1, total - count) if count < total else 1.0
     return Suspect(
         cause=cause,
         title=title,

@@ -25,6 +25,7 @@ from uvgs_bench.accuracy.bench_terms import (
     sensor_like_terms,
     term_jacobian,
 )
+from uvgs_bench.accuracy.distributions import f_tail
 from uvgs_bench.accuracy.least_squares import Alignment
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.place_scatter import Groups, crossed
@@ -295,8 +296,6 @@ def _asked_for(
     bases: dict[str, FloatArray], values: FloatArray, normal: _Normal
 ) -> tuple[tuple[str, ...], dict[str, str]]:
     """Drop the least significant group, and again beside the rest, until all are significant."""
-    from scipy import stats
-
     taken, notes, tests = list(bases), dict[str, str](), len(bases)
     basis = np.column_stack(list(bases.values()))
     found = basis.T @ values
@@ -314,7 +313,7 @@ def _asked_for(
             own = np.flatnonzero(owner[kept] == list(bases).index(name))
             degrees = max(float(of_term[np.abs(bases[name]).max(axis=1) > _ALIKE].min()) - len(own) + 1.0, 1.0)
             gain = float(here[own] @ np.linalg.solve(C[np.ix_(own, own)], here[own])) / len(own)
-            chances[name] = tests * float(stats.f.sf(gain, len(own), degrees))
+            chances[name] = tests * f_tail(gain, len(own), degrees)
         worst = max(chances, key=lambda name: chances[name])
         if chances[worst] < LEVEL:
             for name, chance in chances.items():

@@ -24,6 +24,7 @@ from uvgs_bench.accuracy.budget_lines import (
     reference_shares,
     sensor_shares,
 )
+from uvgs_bench.accuracy.distributions import chi2_quantile, f_quantile
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.accuracy.registration import Registration
@@ -180,8 +181,6 @@ def _expanded(
     covariance: FloatArray, shares: Sequence[float], lines: Sequence[BudgetLine]
 ) -> tuple[float, float, float, float]:
     """Combined doubt of a vector, its degrees of freedom, coverage factor of its length, equally strong directions."""
-    from scipy import stats
-
     each = np.trace(covariance, axis1=1, axis2=2)
     mean = float(each.mean())
     # Captures differ: the square of the length varies within a capture's covariance and from capture to capture.
@@ -190,9 +189,9 @@ def _expanded(
     doubt = sum(share**4 / line.degrees_of_freedom for share, line in zip(shares, lines, strict=True))
     degrees = mean**2 / doubt if doubt > 0.0 else np.inf
     if np.isinf(degrees) or degrees > 1e6:
-        square = float(stats.chi2.ppf(_PROBABILITY, directions)) / directions
+        square = chi2_quantile(_PROBABILITY, directions) / directions
     else:
-        square = float(stats.f.ppf(_PROBABILITY, directions, degrees))
+        square = f_quantile(_PROBABILITY, directions, degrees)
     return float(np.sqrt(mean)), float(degrees), float(np.sqrt(square)), directions
 
 
@@ -228,11 +227,9 @@ def _shortest(ordered: FloatArray) -> tuple[float, float]:
 def _advice(
     lines: Sequence[BudgetLine], dominant: BudgetLine, combined_m: float, observed_m: float, freedom: float
 ) -> tuple[str, ...]:
-    from scipy import stats
-
     share = (dominant.position_m / combined_m) ** 2 if combined_m > 0.0 else 0.0
     advice = [f"{dominant.name} makes up {100.0 * share:.0f} % of the squared doubt: {dominant.improve}"]
-    chance = float(stats.chi2.ppf(0.975, freedom)) / freedom
+    chance = chi2_quantile(0.975, freedom) / freedom
     if observed_m > combined_m * max(_UNEXPLAINED, float(np.sqrt(chance))):
         advice.insert(
             0,

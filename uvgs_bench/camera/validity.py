@@ -261,7 +261,7 @@ def _freed(calibration: Calibration, bundle: Bundle, corners: Corners) -> tuple[
 def _shifts(
     calibration: Calibration, shift: FloatArray, covariance: FloatArray, views: int, limits: ValidityLimits
 ) -> list[ValidityFigure]:
-    from scipy.stats import t as student
+    from scipy.special import stdtrit
 
     fx, fy = calibration.lens.fx_px, calibration.lens.fy_px
     rows = {
@@ -269,7 +269,7 @@ def _shifts(
         ("centre, column", " px", limits.centre_shift_px): np.array([0.0, 0.0, 1.0, 0.0]),
         ("centre, row", " px", limits.centre_shift_px): np.array([0.0, 0.0, 0.0, 1.0]),
     }
-    factor = float(student.ppf(0.975, max(views - 1, 1)))
+    factor = float(stdtrit(max(views - 1, 1), 0.975))
     figures = []
     for (name, unit, limit), row in rows.items():
         value, half = float(row @ shift), factor * float(np.sqrt(row @ covariance @ row))

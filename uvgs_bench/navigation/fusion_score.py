@@ -206,9 +206,10 @@ def score(source: FusionInput, result: FusionResult, false_ns: frozenset[int] = 
 
 def nees_band(count: int, level: float = 0.05) -> tuple[float, float]:
     """Between which ends the mean of so many independent NEES of nine errors lies, but for ``level`` of cases."""
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
-    low, high = (float(chi2.ppf(p, _ERRORS * count)) / count for p in (0.5 * level, 1.0 - 0.5 * level))
+    # Half a chi-squared draw follows the gamma law.
+    low, high = (2.0 * float(gammaincinv(0.5 * _ERRORS * count, p)) / count for p in (0.5 * level, 1.0 - 0.5 * level))
     return low, high
 
 
@@ -228,7 +229,7 @@ def _through(
     later = [u for u in result.updates if u.source == "uvgs" and u.t_ns >= pause.end_ns and u.status != "refused"]
     # The pose after the pause was known only later; until then the method went on without.
     until_ns = pause.end_ns if not later else later[0].t_ns
-    inside = np.flatnonzero((t_ns > pause.start_ns) & (t_ns <= until_ns))
+    inside = np.flatnonzero((t_ns > pause.start_ns) & (t_ns < until_ns))
     if not len(inside):
         return PauseScore(pause, nan, nan, nan, nan)
     last = result.states[int(inside[-1])]

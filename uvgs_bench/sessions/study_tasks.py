@@ -14,6 +14,7 @@ from uvgs_bench.accuracy.bench_model import predicted
 from uvgs_bench.accuracy.blind_bench import BlindBench, observe, planted, random_bench, standard_stations
 from uvgs_bench.accuracy.clusters import Estimate
 from uvgs_bench.accuracy.diagnosis import examine
+from uvgs_bench.accuracy.distributions import t_quantile
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.statistics import AccuracySummary, summarise
 from uvgs_bench.accuracy.tangent import hats, rotation_logs
@@ -217,9 +218,7 @@ def _population(bench: BlindBench, registration: Registration, rng: np.random.Ge
 
 def _registration_inside(bench: BlindBench, found: Registration) -> dict[str, bool]:
     """The directions every gantry of three linear axes sees: both attitudes, and where the beacon is at zero."""
-    from scipy import stats
-
-    reach = float(stats.t.ppf(0.975, found.degrees_of_freedom))
+    reach = t_quantile(0.975, found.degrees_of_freedom)
     zero = _at_zero(found)
     _, t = found.predict(zero)
     _, true_t = predicted(bench.left, bench.right, np.eye(3)[None], np.zeros((1, 3)))

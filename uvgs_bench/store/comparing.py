@@ -11,6 +11,7 @@ import numpy as np
 
 from uvgs_bench.accuracy.clusters import Clusters
 from uvgs_bench.accuracy.comparison import Change, compare_tables, judged
+from uvgs_bench.accuracy.distributions import t_quantile
 from uvgs_bench.accuracy.iso_figures import Precision, precision
 from uvgs_bench.accuracy.judgement import Judgement
 from uvgs_bench.errors import ConfigError, RunError
@@ -203,8 +204,6 @@ def _setup(run: Run) -> dict[str, str]:
 
 def _trends(runs: Sequence[Run], judgements: Sequence[Judgement]) -> tuple[Trend, ...]:
     """Slope of each figure's logarithm over time, by least squares; the runs' own scatter gives its doubt."""
-    from scipy import stats
-
     if len(runs) < _FEWEST_FOR_TREND:
         return ()
     days = np.array([_day(run) for run in runs])
@@ -220,7 +219,7 @@ def _trends(runs: Sequence[Run], judgements: Sequence[Judgement]) -> tuple[Trend
         slope = float(x @ y / (x @ x))
         rest = y - y.mean() - slope * x
         freedom = len(runs) - 2
-        reach = float(stats.t.ppf(1.0 - _TAIL, freedom) * np.sqrt(rest @ rest / freedom / (x @ x)))
+        reach = float(t_quantile(1.0 - _TAIL, freedom) * np.sqrt(rest @ rest / freedom / (x @ x)))
         found.append(Trend(f"{component}_rms", slope, slope - reach, slope + reach))
     return tuple(found)
 
