@@ -24,7 +24,7 @@ from uvgs_bench.navigation.filter_kernels import (
     propagate,
 )
 from uvgs_bench.navigation.imu import ImuSamples
-from uvgs_bench.navigation.states import SensedPose, body_measurement
+from uvgs_bench.navigation.states import PoseMeasurement, SensedPose, body_measurement
 from uvgs_bench.units import ns_from_s, s_from_ns
 
 _PHI = np.zeros((ERROR_SIZE, ERROR_SIZE))
@@ -37,6 +37,10 @@ _FAR = 4.0
 _MOST_POSES = 400
 # A pose farther than this from the median of five, and than so many usual distances, is a stray.
 _STRAY_M, _STRAY_MEDIANS = 0.02, 10.0
+# Over a longer time without a pose the filter is not followed, s.
+_PAUSE_S = 1.0
+# Beyond these a found number is none: the data did not hold it, s, rad, m.
+_FARTHEST = np.array([0.6, 0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
 # What may be told is told only when its doubt is below this: s, rad, m.
 _KNOWN = np.array([0.02, 0.01, 0.01, 0.01, 0.02, 0.02, 0.02])
 
@@ -119,7 +123,7 @@ def find_misfit(
         rotation_rad=read_only(x[1:4]),
         shift_m=read_only(x[4:]),
         sigma=read_only(sigma),
-        is_known=tuple(bool(known) for known in sigma < _KNOWN),
+        is_known=tuple(bool(known) for known in (sigma < _KNOWN) & bool((np.abs(x) < _FARTHEST).all())),
         surprise_before=float(np.mean(_weights(nothing)[:, None] * nothing**2)),
         surprise_after=after,
     )
@@ -147,6 +151,14 @@ def _cost(e: FloatArray) -> float:
     return float(np.where(length < _FAR, 0.5 * length**2, _FAR * (length - 0.5 * _FAR)).sum())
 
 
+def _begun_anew(m: PoseMeasurement, state: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A state at a measured pose with the biases of another one."""
+    fresh = start_state(m, acceleration_bias_mps2=state[15:18], rate_bias_radps=state[18:21])
+    covariance = np.array(fresh.covariance)
+    covariance[9:, 9:] = P[9:, 9:]
+    return packed(fresh), covariance
+
+
 def _innovations(
     imu: ImuSamples, poses: Sequence[SensedPose], world_from_beacon: Pose, body_from_camera: Pose, config: FilterConfig
 ) -> FloatArray:
@@ -160,6 +172,12 @@ def _innovations(
     k = min(max(int(np.searchsorted(imu.t_ns, start.t_ns, side="right")), 1), len(imu) - 1)
     now_ns, out = start.t_ns, np.empty((len(poses) - 1, 6))
     for row, m in zip(out, measured[1:], strict=True):
+        if s_from_ns(m.t_ns - now_ns) > _PAUSE_S:
+            # Too long to be carried through: it begins anew, with the biases as they are.
+            state, P, now_ns = *_begun_anew(m, state, P), m.t_ns
+            k = min(max(int(np.searchsorted(imu.t_ns, now_ns, side="right")), 1), len(imu) - 1)
+            row[:] = 0.0
+            continue
         while now_ns < m.t_ns:
             end_ns = min(int(imu.t_ns[k]), m.t_ns) if k < len(imu) - 1 else m.t_ns
             propagate(state, P, _PHI, means[k - 1], s_from_ns(end_ns - now_ns), noise, gravity, False)

@@ -32,6 +32,9 @@ POSE_ROWS = np.array([6, 7, 8, 0, 1, 2])
 _VELOCITY_ROWS = np.array([3, 4, 5])
 _EMPTY = np.zeros((ERROR_SIZE, ERROR_SIZE))
 
+START_SIGMAS = (0.1, 0.1, 0.01)
+"""Deviations of velocity (m/s), accelerometer bias (m/s^2) and gyroscope bias (rad/s) of which nothing is known."""
+
 Status = Literal["fused", "refused", "reopened", "too_old"]
 
 
@@ -111,9 +114,9 @@ class _Believed:
 def start_state(
     measurement: PoseMeasurement,
     *,
-    velocity_sigma_mps: float = 0.1,
-    acceleration_bias_sigma_mps2: float = 0.1,
-    rate_bias_sigma_radps: float = 0.01,
+    velocity_sigma_mps: float = START_SIGMAS[0],
+    acceleration_bias_sigma_mps2: float = START_SIGMAS[1],
+    rate_bias_sigma_radps: float = START_SIGMAS[2],
     acceleration_bias_mps2: FloatArray | None = None,
     rate_bias_radps: FloatArray | None = None,
 ) -> NavigationState:
@@ -362,9 +365,16 @@ class ErrorStateFilter:
 
 
 def widen(P: FloatArray, residual: FloatArray) -> None:
-    """Admit in place that the state was off by a residual: pose, and velocity by as much per second."""
-    P[np.ix_(POSE_ROWS, POSE_ROWS)] += np.diag(residual**2)
-    P[_VELOCITY_ROWS, _VELOCITY_ROWS] += residual[3:] ** 2
+    """Admit in place that the state was off by a residual: pose, velocity by as much per second, biases as at first.
+
+    Their correlations are those of a state that was wrong, and are given up.
+    """
+    variances = np.diag(P).copy()
+    variances[POSE_ROWS] += residual**2
+    variances[_VELOCITY_ROWS] += residual[3:] ** 2
+    variances[9:12] += START_SIGMAS[1] ** 2
+    variances[12:] += START_SIGMAS[2] ** 2
+    P[:, :] = np.diag(variances)
 
 
 def _residual(state: FloatArray, held: _Believed) -> FloatArray:

@@ -39,7 +39,7 @@ class FusionInput:
         lens: The camera's lens, or None when only poses are known.
         noise: Noise of the unit as stated.
         gravity_mps2: Gravity in world axes, shape (3,), m/s^2.
-        rest_s: How long the body stands still at first, s.
+        rest_s: How long the body stands still from the first reading on, s.
         misses_ns: Instants of captures without a pose, with the reason.
         starved_ns: Instants at which the native localiser had too few landmarks, with how many.
         truth: The body at an instant, ns, or None when it is not known.

@@ -93,11 +93,11 @@ def first_state(source: FusionInput, sources: tuple[str, ...]) -> NavigationStat
         raise RunError(
             "no readings of an inertial unit, which this method needs; --method ar_swap needs none", source.name
         )
-    begin_ns = max(known[0].t_ns, int(source.imu.t_ns[0]))
+    begin_ns = int(source.imu.t_ns[0])
     end_ns = begin_ns + ns_from_s(source.rest_s)
     before = [m for m in known if m.t_ns <= end_ns] or known[:1]
     first = before[-1]
-    if source.rest_s <= 0.0:
+    if source.rest_s <= 0.0 or first.t_ns > end_ns:
         return start_state(first)
     sigma_rad = float(np.sqrt(np.diag(first.covariance)[:3].max()))
     readings = source.imu.between(begin_ns, end_ns)

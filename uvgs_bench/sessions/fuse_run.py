@@ -23,10 +23,11 @@ from uvgs_bench.navigation.states import SensedPose
 from uvgs_bench.sensor.outcome import PoseEstimate
 from uvgs_bench.store.observations import observations_from_run
 from uvgs_bench.store.run import read_run
-from uvgs_bench.units import s_from_ns
+from uvgs_bench.units import ns_from_s, s_from_ns
 
 # Differences of the path over this, s, make its rates.
 _STEP_S = 1e-4
+_REST_S = 3.0
 
 
 def read_run_input(path: Path, seed: int) -> FusionInput:
@@ -51,8 +52,8 @@ def read_run_input(path: Path, seed: int) -> FusionInput:
     R_cb, t_cb = registration.predict(obs)
     motion = _Path(obs, R_cb, t_cb)
     # Gravity along the picture's columns, for want of anything that tells.
-    gravity = read_only(STANDARD_GRAVITY_MPS2 * motion.at(0.0).pose.R[:, 1])
-    unit = simulate_imu(motion.at, motion.duration_s, TrueImu(), gravity, np.random.default_rng((seed, 12)))
+    gravity = read_only(STANDARD_GRAVITY_MPS2 * motion.at(_REST_S).pose.R[:, 1])
+    unit = simulate_imu(motion.at, motion.duration_s + 0.1, TrueImu(), gravity, np.random.default_rng((seed, 12)))
     begin_ns = motion.begin_ns
     sensed = []
     for sample in run.samples:
@@ -75,6 +76,7 @@ def read_run_input(path: Path, seed: int) -> FusionInput:
         focal_px=run.calibration.lens.fx_px,
         lens=run.calibration.lens,
         gravity_mps2=gravity,
+        rest_s=_REST_S,
         misses_ns=tuple((s.t_ns - begin_ns, s.reason) for s in run.samples if not s.is_solved),
         truth=lambda t_ns: motion.at(s_from_ns(t_ns)),
         is_simulated=True,
@@ -93,8 +95,9 @@ class _Path:
         from scipy.interpolate import CubicHermiteSpline
 
         order = np.unique(obs.t_ns, return_index=True)[1]
-        t_s = (obs.t_ns[order] - obs.t_ns[order][0]) / 1e9
-        self.begin_ns = int(obs.t_ns[order][0])
+        # It stands still before the first sample, so that biases can be measured.
+        self.begin_ns = int(obs.t_ns[order][0]) - ns_from_s(_REST_S)
+        t_s = (obs.t_ns[order] - self.begin_ns) / 1e9
         self.duration_s = float(t_s[-1])
         poses = [Pose(R, t, "body", "beacon").inverse() for R, t in zip(R_cb[order], t_cb[order], strict=True)]
         self._R_first = poses[0].R
@@ -106,7 +109,7 @@ class _Path:
 
     def at(self, t_s: float) -> RigidState:
         """The camera as a body at a time since the first sample, s."""
-        t_s = min(max(t_s, 0.0), self.duration_s)
+        t_s = min(max(t_s, _REST_S), self.duration_s)
         x, v, a = (np.asarray(self._spline(t_s, k), dtype=np.float64) for k in range(3))
         before, after = (self._rate(t_s + s * _STEP_S) for s in (-1.0, 1.0))
         R = self._R_first @ so3_exp(np.ascontiguousarray(x[3:]))

@@ -52,7 +52,7 @@ class FusionSetup:
     Args:
         imu: Noise of the inertial unit.
         gravity_mps2: Gravity in world axes, m/s^2; zeros in free fall.
-        rest_s: How long the body stands still at first, s.
+        rest_s: How long the body stands still from the first reading on, s.
         body_from_camera: How the camera sits on the body, whose axes are those of the inertial unit.
         world_from_beacon: Where the beacon stands.
         sensor_offset_s: By how much the sensor's stamps are too late against those of the unit, s.
