@@ -54,7 +54,7 @@ def error_at_zero(bench: BlindBench, found: Registration, obs: Observations) -> 
 
 def test_predictions_are_as_good_as_the_chain_says() -> None:
     squares = []
-    for seed in range(60):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         bench = replace(random_bench(rng), gantry_repeatability_m=0.0)
         # The link that is told is as wrong as it says it may be.
@@ -64,7 +64,7 @@ def test_predictions_are_as_good_as_the_chain_says() -> None:
         stations = standard_stations(rng, places=4, revisits=0, moving=0, shots=1)
         error, factor = error_at_zero(bench, found, observe(bench, stations, rng))
         squares.append(float(error @ np.linalg.solve(factor @ factor.T, error)) / 3.0)
-    # Mean of 180 unit squares: 1 to a tenth, three times that allowed.
+    # Mean of 120 unit squares: 1 to an eighth, more than twice that allowed.
     assert 0.7 < np.mean(squares) < 1.35
 
 
