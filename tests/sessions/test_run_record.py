@@ -302,3 +302,17 @@ def test_what_a_live_camera_said_is_kept(pictures, tmp_path, monkeypatch):
     assert ",frozen," in a.read_text()
     assert uvgs(record, "--out", b, "--quiet") == 3
     assert a.read_bytes() == b.read_bytes()
+
+
+def test_damage_inside_a_record_is_told(pictures, tmp_path, capfd):
+    record = tmp_path / "r.mcap"
+    assert uvgs(f"images:{pictures / 'deep'}", *one(pictures), "--record", record, "--compression", "none") == 0
+    payload = bytearray(record.read_bytes())
+    # In the pixels of the second picture of 2.5 MB.
+    payload[4_000_000] ^= 0xFF
+    record.write_bytes(payload)
+    capfd.readouterr()
+    assert uvgs(record, "--out", tmp_path / "b.csv", "--quiet") == 0
+    assert "a chunk fails its check" in capfd.readouterr().err
+    lines = (tmp_path / "b.csv").read_text().splitlines()
+    assert [line.split(",")[1] for line in lines[1:]] == ["p0.png", "p2.png", "p3.png"]

@@ -229,7 +229,7 @@ def run(
         if again is None:
             opened = open_captures(source, recorded, stack, sink, reconnect_s)
         else:
-            opened = run_record.replayed(again)
+            opened = run_record.replayed(again, sink)
         calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config, own, opened)
         names = tuple(lights.name for lights in beacons)
         policy = handover_policy(handover, zone_m or [], hold_s, names, active)

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from uvgs_bench.cli.run_setup import OpenedSource
     from uvgs_bench.devices.cameras.source import ExposureControl
+    from uvgs_bench.sensor.capture import Capture
     from uvgs_bench.sensor.uvgs import Uvgs
     from uvgs_bench.sessions.events import EventSink
     from uvgs_bench.sessions.exposure_loop import ExposureLoop
@@ -58,13 +59,24 @@ def recording_of(source: str, stack: ExitStack, sink: EventSink) -> Recording | 
     return recording
 
 
-def replayed(recording: Recording) -> OpenedSource:
-    """The captures of a record, with what came from outside while they were solved."""
+def replayed(recording: Recording, sink: EventSink) -> OpenedSource:
+    """The captures of a record, with what came from outside while they were solved; damage found on the way is told."""
     from uvgs_bench.cli.run_setup import OpenedSource
 
     setup = recording.setup
     control = None if setup.camera is None else recording.exposure(setup.camera)
-    return OpenedSource(recording.captures(), recording.total, control, None, recording.flags_of, setup.is_live)
+    return OpenedSource(_told(recording, sink), recording.total, control, None, recording.flags_of, setup.is_live)
+
+
+def _told(recording: Recording, sink: EventSink) -> Iterator[Capture]:
+    from uvgs_bench.sessions.events import Remark
+
+    known = len(recording.remarks)
+    try:
+        yield from recording.captures()
+    finally:
+        for text in recording.remarks[known:]:
+            sink(Remark("warning", text))
 
 
 def replayed_rules(asked: StreamRules, recording: Recording, given: frozenset[str]) -> StreamRules:

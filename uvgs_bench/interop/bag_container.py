@@ -150,6 +150,11 @@ class BagContainer(ABC):
         if self._chunk.is_full:
             self._guarded(self._flush)
 
+    def flush(self) -> None:
+        """Put what waits on disk now. Raises UvgsError when the disk is full."""
+        if self._is_open:
+            self._guarded(self._flush)
+
     def close(self) -> None:
         """Write what waits and the index. Safe to call twice. Raises UvgsError when the disk is full."""
         if self._is_open:

@@ -121,6 +121,10 @@ class NewBag:
         payload = store.serialize_ros1(message, kind) if self._is_ros1 else store.serialize_cdr(message, kind)
         self._container.write(channel, t_ns, payload)
 
+    def flush(self) -> None:
+        """Put what waits on disk now, in a chunk of its own. Raises UvgsError when the disk is full."""
+        self._container.flush()
+
     def hurry(self, is_hurried: bool) -> None:
         """Say whether messages come faster than they can be compressed; every chunk says its own compression."""
         self._container.is_hurried = is_hurried

@@ -176,6 +176,8 @@ class Recorder:
         at_ns = self._last_ns = max(self._last_ns, t_ns)
         if self._setup:
             bag.write(SETUP_TOPIC, at_ns, bag.make.text(self._setup))
+            # In a chunk of its own, so that a damaged picture does not take it along.
+            bag.flush()
             self._setup = ""
         said = {
             "index": capture.index,
