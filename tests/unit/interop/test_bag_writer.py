@@ -23,7 +23,6 @@ from uvgs_bench.interop.trajectories import LineNote
 from uvgs_bench.sensor import Capture, Miss, PoseEstimate
 from uvgs_bench.sensor.handover import Held
 
-pytestmark = pytest.mark.opencv
 START_NS = 1_700_000_000_000_000_123
 FILES = [("p.bag", "none"), ("p.bag", "bz2"), ("p.mcap", "none"), ("p.mcap", "zstd")]
 KIND = MessageKind("std_msgs/msg/String", "string data\n", "992ce8a1687cec8c8bd883ec73ca41d1")
@@ -150,6 +149,7 @@ def test_astrobees_messages_come_registration_first(tmp_path, name, version):
     assert (found[0].runtime_s is None) == (version == "v1")
 
 
+@pytest.mark.opencv
 def test_pictures_of_what_was_seen(tmp_path):
     def paint(capture, outcome):
         return np.full((8, 8, 3), 200 if isinstance(outcome, PoseEstimate) else 20, dtype=np.uint8)
