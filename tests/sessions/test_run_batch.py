@@ -112,7 +112,7 @@ def test_ctrl_c_ends_the_sources_that_run_and_keeps_the_list(bench, tmp_path):
         [sys.executable, "-c", code, *map(str, words)], cwd=bench, stderr=subprocess.PIPE, text=True
     )
     listed = tmp_path / "p" / RESULTS_FILE
-    for _ in range(600):
+    for _ in range(2000):
         if listed.exists() and '"result"' in listed.read_text():
             break
         time.sleep(0.1)

@@ -120,7 +120,7 @@ def test_one_datagram_per_capture_and_a_rate_of_its_own(bench, tmp_path, capfd):
     got: list[dict] = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         ear.bind(("127.0.0.1", 0))
-        ear.settimeout(20.0)
+        ear.settimeout(200.0)
         port = ear.getsockname()[1]
 
         def listen(count: int) -> threading.Thread:
