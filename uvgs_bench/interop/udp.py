@@ -7,7 +7,7 @@ skipped     captures before this one that were left out by the rate limit
 index       number of the capture in its source
 t_ns        instant of the capture on the source's clock, ns
 status      "ok": a fresh pose · "held": the last one repeated, old · "miss": none. Check this first.
-beacon      name of the active beacon; null while none was ever seen
+beacon      name of the active beacon; with several beacons null while none was ever seen
 t_m         x, y, z of the beacon in the camera's frame (x right, y down, z forward), m
 q_xyzw      its rotation, camera_from_beacon, scalar last
 age_s       how old the pose is; 0 unless held
