@@ -163,7 +163,7 @@ def test_pictures_of_what_was_seen(tmp_path):
     assert values == [200] * 3 + [20] * 3
 
 
-@pytest.mark.parametrize("compression", ["none", "bz2"])
+@pytest.mark.parametrize("compression", [pytest.param("none", marks=pytest.mark.slow), "bz2"])
 def test_debian_and_the_genuine_rosbag_read_ros_1(tmp_path, compression):
     path = write(tmp_path / "p.bag", compression)
     tool = shutil.which("rosbag")
