@@ -17,20 +17,20 @@ import numpy as np
 from uvgs_bench.geometry import FloatArray, Pose, read_only
 from uvgs_bench.navigation.error_state_filter import POSE_ROWS, FilterConfig, packed, start_state
 from uvgs_bench.navigation.filter_kernels import (
-    ERROR_SIZE,
     correct,
     innovation_covariance,
     pose_residual,
-    propagate,
+    propagate_steps,
 )
 from uvgs_bench.navigation.imu import ImuSamples
 from uvgs_bench.navigation.states import PoseMeasurement, SensedPose, body_measurement
 from uvgs_bench.units import ns_from_s, s_from_ns
 
-_PHI = np.zeros((ERROR_SIZE, ERROR_SIZE))
 _SCAN_S = (-0.4, -0.2, -0.1, 0.0, 0.1, 0.2, 0.4)
 _STEPS = np.array([2e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
 _ROUNDS = 5
+# With less surprise than this the clocks are so near that no far offset need be tried.
+_SCANNED = 1.5
 # Innovations of six numbers longer than this weigh less: false poses must not lead.
 _FAR = 4.0
 # More poses than these say nothing new about seven numbers.
@@ -100,10 +100,11 @@ def find_misfit(
         return _innovations(readings, moved, world_from_beacon, camera, config)
 
     nothing = surprise(np.zeros(7))
-    starts = [np.concatenate(([offset_s], np.zeros(6))) for offset_s in _SCAN_S]
-    x = min(starts, key=lambda start: _cost(nothing if start[0] == 0.0 else surprise(start)))
+    x, e = np.zeros(7), nothing
+    if float(np.mean(_weights(e)[:, None] * e**2)) > _SCANNED:
+        starts = [np.concatenate(([offset_s], np.zeros(6))) for offset_s in _SCAN_S]
+        x, e = min(((start, surprise(start)) for start in starts), key=lambda tried: _cost(tried[1]))
     normal = np.eye(7)
-    e = surprise(x)
     for _ in range(_ROUNDS):
         J = np.stack([(surprise(x + step) - e).reshape(-1) for step in np.diag(_STEPS)], axis=1) / _STEPS
         w = np.repeat(_weights(e), 6)
@@ -113,7 +114,7 @@ def find_misfit(
         if _cost(tried) > _cost(e):
             break
         x, e = x + move, tried
-        if (np.abs(move) < 0.1 * _STEPS).all():
+        if (np.abs(move) < 0.1 * np.sqrt(np.diag(np.linalg.pinv(normal, rcond=1e-14)))).all():
             break
     after = float(np.mean(_weights(e)[:, None] * e**2))
     # What cannot be explained makes the doubt larger, as in any fit.
@@ -163,32 +164,31 @@ def _innovations(
     imu: ImuSamples, poses: Sequence[SensedPose], world_from_beacon: Pose, body_from_camera: Pose, config: FilterConfig
 ) -> FloatArray:
     """Innovations of a filter without a gate, each in units of what was expected of it, shape (n, 6)."""
-    noise, gravity = config.noise.vector(), np.array(config.gravity_mps2)
+    noise, gravity = config.noise.vector(), read_only(config.gravity_mps2)
     measured = [body_measurement(pose, world_from_beacon, body_from_camera) for pose in poses]
     start = start_state(measured[0])
     state, P = packed(start), np.array(start.covariance)
     readings = np.hstack((imu.acceleration_mps2, imu.rate_radps))
     means = 0.5 * (readings[1:] + readings[:-1])
-    k = min(max(int(np.searchsorted(imu.t_ns, start.t_ns, side="right")), 1), len(imu) - 1)
+    k = max(int(np.searchsorted(imu.t_ns, start.t_ns, side="right")), 1)
     now_ns, out = start.t_ns, np.empty((len(poses) - 1, 6))
     for row, m in zip(out, measured[1:], strict=True):
         if s_from_ns(m.t_ns - now_ns) > _PAUSE_S:
             # Too long to be carried through: it begins anew, with the biases as they are.
             state, P, now_ns = *_begun_anew(m, state, P), m.t_ns
-            k = min(max(int(np.searchsorted(imu.t_ns, now_ns, side="right")), 1), len(imu) - 1)
+            k = max(int(np.searchsorted(imu.t_ns, now_ns, side="right")), 1)
             row[:] = 0.0
             continue
-        while now_ns < m.t_ns:
-            end_ns = min(int(imu.t_ns[k]), m.t_ns) if k < len(imu) - 1 else m.t_ns
-            propagate(state, P, _PHI, means[k - 1], s_from_ns(end_ns - now_ns), noise, gravity, False)
-            now_ns = end_ns
-            if k < len(imu) - 1 and end_ns == imu.t_ns[k]:
-                k += 1
+        last = max(int(np.searchsorted(imu.t_ns, m.t_ns)), k)
+        ends = np.concatenate(([now_ns], imu.t_ns[k:last], [m.t_ns]))
+        steps = np.minimum(np.arange(k, last + 1), len(imu) - 1) - 1
+        propagate_steps(state, P, means[steps], np.diff(ends) / 1e9, noise, gravity)
+        now_ns, k = m.t_ns, max(int(np.searchsorted(imu.t_ns, m.t_ns, side="right")), 1)
         residual = pose_residual(state, m.world_from_body.R, m.world_from_body.t_m)
         L, distance = innovation_covariance(P, m.covariance, POSE_ROWS, residual)
         row[:] = np.linalg.solve(L, residual)
         # A far-off pose takes part with the weight it has in the fit.
-        widened = m.covariance * max(1.0, np.sqrt(distance) / _FAR) ** 2
+        widened = read_only(m.covariance * max(1.0, np.sqrt(distance) / _FAR) ** 2)
         if distance > _FAR**2:
             L, _ = innovation_covariance(P, widened, POSE_ROWS, residual)
         correct(state, P, L, widened, POSE_ROWS, residual)

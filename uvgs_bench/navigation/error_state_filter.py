@@ -256,8 +256,8 @@ class ErrorStateFilter:
         if base is None:
             return False
         state, P = self._state_at(base, t_ns)
-        zero = np.zeros(3)
-        still = _Believed(t_ns, _VELOCITY_ROWS, sigma_mps**2 * np.eye(3), np.eye(3), zero, False)
+        zero = read_only(np.zeros(3))
+        still = _Believed(t_ns, _VELOCITY_ROWS, read_only(sigma_mps**2 * np.eye(3)), read_only(np.eye(3)), zero, False)
         self._believe(base, still, state, P, None, _residual(state, still))
         return True
 

@@ -72,7 +72,7 @@ class FixedLagGraph:
         self._body_from_camera = body_from_camera
         self._camera_from_body = body_from_camera.inverse()
         self._gate = InnovationGate(config.gate_chi2, config.reopen_after)
-        self._noise, self._gravity = config.noise.vector(), np.array(config.gravity_mps2)
+        self._noise, self._gravity = config.noise.vector(), read_only(config.gravity_mps2)
         self._params = self._preintegration()
         settings = self._g.ISAM2Params()
         settings.setRelinearizeThreshold(0.001)

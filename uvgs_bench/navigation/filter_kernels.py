@@ -135,6 +135,30 @@ def propagate(
 
 
 @compiled
+def propagate_steps(
+    state: FloatArray,
+    P: FloatArray,
+    readings: FloatArray,
+    dt_s: FloatArray,
+    noise: FloatArray,
+    gravity_mps2: FloatArray,
+) -> None:
+    """Carry a state and its covariance many steps on, in place.
+
+    Args:
+        state: The state, shape (21,).
+        P: Its covariance, shape (15, 15).
+        readings: Mean reading over each step, shape (n, 6).
+        dt_s: Length of each step, shape (n,), s.
+        noise: Densities and walks in the order of ``ImuNoise``, shape (4,).
+        gravity_mps2: Gravity in world axes, shape (3,), m/s^2.
+    """
+    Phi = np.zeros((1, 1))
+    for k in range(len(dt_s)):
+        propagate(state, P, Phi, readings[k], dt_s[k], noise, gravity_mps2, False)
+
+
+@compiled
 def pose_residual(state: FloatArray, R: FloatArray, position_m: FloatArray) -> FloatArray:
     """How far a measured pose is from a state.
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from uvgs_bench.geometry import FloatArray
+from uvgs_bench.geometry import FloatArray, read_only
 from uvgs_bench.geometry.se3 import so3_log
 from uvgs_bench.navigation.error_state_filter import POSE_ROWS, FilterConfig, packed, unpacked
 from uvgs_bench.navigation.filter_kernels import (
@@ -52,7 +52,7 @@ def smooth(
     by_time: dict[int, list[PoseMeasurement]] = {}
     for m in measurements:
         by_time.setdefault(m.t_ns, []).append(m)
-    noise, gravity = config.noise.vector(), np.array(config.gravity_mps2)
+    noise, gravity = config.noise.vector(), read_only(config.gravity_mps2)
     state, P = packed(start), np.array(start.covariance)
     after = [(state.copy(), P.copy())]
     carried: list[tuple[FloatArray, FloatArray, FloatArray]] = []
