@@ -10,7 +10,7 @@ Source: H. D. Patterson and R. Thompson, Recovery of inter-block information whe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,9 +157,11 @@ def fit_scatter(visits: Visits, explained: FloatArray, stopping_m: float) -> Sca
         a, b, c = np.exp(np.clip(x, -_REACH, _REACH))
         return Scatter(float(a), float(start.place * b), float(start.stopping_m2 * c))
 
+    whiten = _Whitening(visits, table)
+
     def cost(x: FloatArray) -> float:
         scatter = scatter_at(x)
-        white, determinant = whitened(visits, scatter, table)
+        white, determinant = whiten.by(scatter)
         # One triangle holds both: the determinant of what is explained, and what is left of the residual.
         diagonal = np.diagonal(np.linalg.cholesky(_gram(white)))
         within = visits.within_freedom * np.log(scatter.noise) + visits.within / scatter.noise
@@ -178,6 +180,37 @@ def fit_scatter(visits: Visits, explained: FloatArray, stopping_m: float) -> Sca
         options={"maxfev": _EVALUATIONS, "xatol": _STEP, "fatol": _TOLERANCE, "initial_simplex": simplex},
     )
     return scatter_at(np.asarray(fitted.x))
+
+
+class _Whitening:
+    """One table whitened by many scatters: places visited once are turned to where all their parts are diagonal."""
+
+    def __init__(self, visits: Visits, table: FloatArray) -> None:
+        alone = [block[:, 0] for block in visits.blocks if block.shape[1] == 1]
+        once = np.concatenate(alone) if alone else np.empty(0, dtype=np.intp)
+        # With C C^T the noise of one capture, parts are multiples of C C^T and what stopping adds to it.
+        C = np.linalg.cholesky(visits.single[once])
+        back = np.linalg.inv(C)
+        stop, turn = np.linalg.eigh(back[:, :, 3:] @ back[:, :, 3:].transpose(0, 2, 1))
+        # Stopping shifts and does not turn: three directions know nothing of it but rounding.
+        self._stop = np.maximum(stop, 0.0)
+        self._turned = turn.transpose(0, 2, 1) @ back @ table[once]
+        # The mean of a visit is as noisy as one capture over their number.
+        self._share = visits.noise[once, 0, 0] / visits.single[once, 0, 0]
+        self._determinant = 2.0 * float(np.log(np.diagonal(C, axis1=1, axis2=2)).sum())
+        self._others = replace(visits, blocks=tuple(block for block in visits.blocks if block.shape[1] > 1))
+        self._table = table
+
+    def by(self, scatter: Scatter) -> tuple[FloatArray, float]:
+        """As ``whitened``; the rows are turned, which no sum of squares notices."""
+        own = scatter.place + scatter.noise * self._share
+        variance = own[:, None] + scatter.stopping_m2 * self._stop
+        rows = (self._turned / np.sqrt(variance)[:, :, None]).reshape(-1, self._table.shape[2])
+        determinant = self._determinant + float(np.log(variance).sum())
+        if not self._others.blocks:
+            return rows, determinant
+        more, further = whitened(self._others, scatter, self._table)
+        return np.concatenate([rows, more]), determinant + further
 
 
 def _gram(columns: FloatArray) -> FloatArray:
