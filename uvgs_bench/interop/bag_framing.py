@@ -151,21 +151,24 @@ def skip_to(file: BinaryIO, start: int, pattern: re.Pattern[bytes], size: int) -
 
 def unpacked(kind: str, payload: bytes) -> tuple[bytes, bool]:
     """What can be unpacked of a compressed chunk, and whether its end was reached."""
-    decoder: Any
-    if kind == "bz2":
-        decoder = bz2.BZ2Decompressor()
-    elif kind == "lz4":
-        decoder = import_module("lz4.frame").LZ4FrameDecompressor()
-    elif kind == "zstd":
-        decoder = zstd_module().ZstdDecompressor()
-    else:
+    makers: dict[str, Callable[[], Any]] = {
+        "bz2": bz2.BZ2Decompressor,
+        "lz4": lambda: import_module("lz4.frame").LZ4FrameDecompressor(),
+        "zstd": lambda: zstd_module().ZstdDecompressor(),
+    }
+    if kind not in makers:
         return b"", False
     parts = []
+    decoder = makers[kind]()
     try:
         for i in range(0, len(payload), _PIECE):
-            if decoder.eof:
-                break
-            parts.append(decoder.decompress(payload[i : i + _PIECE]))
+            piece = payload[i : i + _PIECE]
+            while piece:
+                if decoder.eof:
+                    # Frames may follow one another.
+                    decoder = makers[kind]()
+                parts.append(decoder.decompress(piece))
+                piece = decoder.unused_data if decoder.eof else b""
     except Exception:  # three libraries, three kinds of error, one meaning
         return b"".join(parts), False
     return b"".join(parts), bool(decoder.eof)

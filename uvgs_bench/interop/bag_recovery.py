@@ -292,6 +292,8 @@ def _ros1_record(
         (number,) = struct.unpack("<I", fields.get(b"conn", b""))
         said = _ros1_fields(data, offset)
         topic = fields.get(b"topic", said.get(b"topic", b"")).decode("utf-8", "replace")
+        # As ROS itself and the library's reader do.
+        topic = re.sub("/+", "/", topic)
         name = said.get(b"type", b"").decode("utf-8", "replace")
         text = said.get(b"message_definition", b"").decode("utf-8", "replace")
         is_latched = said.get(b"latching") == b"1"

@@ -15,7 +15,8 @@ from types import TracebackType
 from typing import Self
 
 from uvgs_bench.errors import FormatError
-from uvgs_bench.interop.bag_file import BagFile, BagMessage, open_bag_file
+from uvgs_bench.interop.bag_file import BagFile, BagMessage
+from uvgs_bench.interop.bag_opening import open_bag_file
 
 _STORAGE = (".mcap", ".db3", ".zstd", ".zst")
 BAG_SUFFIXES = frozenset({".bag", ".active", *_STORAGE})

@@ -131,18 +131,18 @@ def _read_summary(file: BinaryIO, size: int, tables: _McapTables) -> None:
         pass  # the summary is what may be broken
 
 
-def _strings(data: bytes, at: int, count: int) -> tuple[list[bytes], int]:
+def _strings(data: bytes | memoryview, at: int, count: int) -> tuple[list[bytes], int]:
     found = []
     for _ in range(count):
         (length,) = struct.unpack_from("<I", data, at)
         if at + 4 + length > len(data):
             raise FormatError("holds no record")
-        found.append(data[at + 4 : at + 4 + length])
+        found.append(bytes(data[at + 4 : at + 4 + length]))
         at += 4 + length
     return found, at
 
 
-def _mcap_record(op: int, data: bytes, tables: _McapTables, offset: int) -> Iterator[Record]:
+def _mcap_record(op: int, data: bytes | memoryview, tables: _McapTables, offset: int) -> Iterator[Record]:
     if op == _SCHEMA:
         (number,) = struct.unpack_from("<H", data)
         said, _ = _strings(data, 2, 3)
@@ -162,7 +162,7 @@ def _mcap_record(op: int, data: bytes, tables: _McapTables, offset: int) -> Iter
         number, _, log_ns, _ = struct.unpack_from("<HIQQ", data)
         channel = tables.channels.get(number)
         if channel is not None:
-            yield channel, log_ns, data[22:]
+            yield channel, log_ns, bytes(data[22:])
         elif number not in tables.channels:
             tables.report(f"messages of channel {number}, which it does not name, are left out", offset)
             tables.channels[number] = None
@@ -172,21 +172,27 @@ def _mcap_chunk(payload: bytes, is_whole: bool, tables: _McapTables, offset: int
     _, _, unpacked_size, checksum = struct.unpack_from("<QQQI", payload)
     (kind_bytes,), at = _strings(payload, 28, 1)
     (length,) = struct.unpack_from("<Q", payload, at)
-    data, kind = payload[at + 8 : at + 8 + length], kind_bytes.decode("ascii", "replace")
-    is_done = is_whole
+    kind = kind_bytes.decode("ascii", "replace")
+    data, is_done = memoryview(payload)[at + 8 : at + 8 + length], is_whole
     if kind:
-        data, is_done = unpacked(kind, data)
-    if is_whole and not (is_done and len(data) == unpacked_size and checksum in (0, crc32(data))):
+        whole, is_done = unpacked(kind, bytes(data))
+        data = memoryview(whole)
+    is_good = is_done and len(data) == unpacked_size and (checksum == 0 or checksum == crc32(data))
+    if is_whole and not is_good:
         tables.report(f"a chunk fails its check ({kind or 'not compressed'})", offset)
         return
-    inner = io.BytesIO(data)
     found: list[Record] = []
+    at = 0
     try:
-        while inner.tell() < len(data):
-            op, length = struct.unpack("<BQ", take(inner, 9, len(data)))
-            record = take(inner, length, len(data))
+        while at < len(data):
+            if at + 9 > len(data):
+                raise FormatError(CUT)
+            op, length = struct.unpack_from("<BQ", data, at)
+            at += 9 + length
+            if at > len(data):
+                raise FormatError(CUT)
             if op in (_SCHEMA, _CHANNEL, _MESSAGE):
-                found += _mcap_record(op, record, tables, offset)
+                found += _mcap_record(op, data[at - length : at], tables, offset)
             elif op == 0 or _FIRST_PRIVATE <= op < 0x80:
                 raise FormatError("holds no record")
     except (FormatError, struct.error, UnicodeDecodeError) as error:
