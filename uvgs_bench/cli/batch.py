@@ -21,7 +21,7 @@ _OUTPUTS = ("--out", "--record", "--debug-images")
 # What the batch says itself to every run.
 _OWN = frozenset({"--batch", "--workers", "--scheduler", "--json", "--quiet", "--force"})
 _DOCUMENTS = ("--camera", "--beacon", "--config")
-_ONE_ONLY = ("--udp", "--rate-hz")
+_ONE_ONLY = ("--udp", "--rate-hz", "--view", "--foxglove")
 
 
 def run_list(

@@ -10,6 +10,15 @@ from typing import Annotated, Literal
 import typer
 
 from uvgs_bench.cli.options import Force, Json, Quiet, given_options
+from uvgs_bench.cli.view_options import (
+    AllowMotion,
+    Foxglove,
+    FoxglovePort,
+    SnapshotFolder,
+    View,
+    ViewOptions,
+    ViewPort,
+)
 from uvgs_bench.errors import ConfigError, ExitCode
 
 _BEACONS = "Several beacons"
@@ -146,7 +155,7 @@ def run(
         typer.Option(
             "--rate-hz",
             min=0.001,
-            help="Most answers a second for --udp; files get all of them.",
+            help="Most answers a second for --udp, --view and --foxglove; files get all of them.",
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
@@ -183,6 +192,12 @@ def run(
             "--scheduler", help="Dask scheduler in place of processes, like tcp://host:8786.", rich_help_panel=_MANY
         ),
     ] = None,
+    view: View = False,
+    view_port: ViewPort = None,
+    foxglove: Foxglove = False,
+    foxglove_port: FoxglovePort = None,
+    snapshots: SnapshotFolder = None,
+    allow_motion: AllowMotion = None,
     force: Force = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -193,8 +208,7 @@ def run(
     """
     from time import perf_counter
 
-    from uvgs_bench.cli import run_record
-    from uvgs_bench.cli.console import progress_sink
+    from uvgs_bench.cli import live_view, run_record
     from uvgs_bench.cli.run_commands import standard_input_names
     from uvgs_bench.cli.run_outlets import OutletOptions, open_outlets
     from uvgs_bench.cli.run_setup import exposure_loop, handover_policy, open_captures, read_setup, recorded_run
@@ -206,6 +220,7 @@ def run(
     from uvgs_bench.sessions.outlets import StreamSetup
     from uvgs_bench.sessions.stream import StreamRules, solve_source
     from uvgs_bench.sessions.tally import Tally
+    from uvgs_bench.view.live_state import LiveState
 
     if batch is not None:
         from uvgs_bench.cli.batch import run_list
@@ -219,10 +234,13 @@ def run(
     options = OutletOptions(
         tuple(out or ()), compression, images, annotated, astrobee, udp, rate_hz, debug_images, force
     )
-    options.check(source, record)
+    looks = ViewOptions(view, view_port, foxglove, foxglove_port, snapshots, allow_motion, rate_hz)
+    options.check(source, record, looks.is_served)
+    state = LiveState()
     is_interrupted = False
     with ExitStack() as stack:
-        sink = stack.enter_context(progress_sink(quiet=quiet))
+        sink = stack.enter_context(live_view.panel_sink(state, quiet=quiet))
+        source, gantry = live_view.own_twin(source, looks, stack)
         again = run_record.recording_of(source, stack, sink)
         recorded = recorded_run(source) if again is None else None
         own = None if again is None else again.setup
@@ -244,10 +262,17 @@ def run(
         if auto_exposure and loop is None:
             loop = exposure_loop(opened.exposure, source, sensors, max_exposure_ms)
         setup = StreamSetup(source, calibration, tuple(beacons), parameters, sensors)
-        outlets = open_outlets(stack, setup, options, sink, () if recorder is None else (recorder,))
+        shown = live_view.LiveOutlet(state, opened)
+        more = () if recorder is None else (recorder,)
+        outlets = open_outlets(stack, setup, options, sink, more, (shown,) if looks.is_served else ())
+        controls = live_view.open_controls(
+            sensors, parameters, opened, config, sink, perf_counter,
+            has_record=record is not None or again is not None, has_exposure_loop=loop is not None,
+        )  # fmt: skip
         if recorder is not None:
             run_record.begin_record(recorder, setup, rules, opened, loop)
         stack.enter_context(interruptible())
+        live_view.serve(stack, looks, state, sensors, controls, gantry, sink)
         sink(Remark("info", "loading compiled kernels"))
         tally = Tally(names)
         command = None
@@ -267,12 +292,15 @@ def run(
                 total=opened.total,
                 exposure=loop,
                 command=command,
-                flags_of=opened.flags_of,
+                flags_of=live_view.all_flags(opened.flags_of, controls.flags_of),
                 is_live=opened.is_live,
             )
             for answered in stream:
                 tally.take(answered.lines, None if opened.live is None else opened.live.age_s(answered.capture))
                 outlets.put(answered)
+                if not looks.is_served:
+                    shown.put(answered)
+                controls.apply()
         except KeyboardInterrupt:
             is_interrupted = True
     if opened.live is not None:

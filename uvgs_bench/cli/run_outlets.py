@@ -83,7 +83,9 @@ class OutletOptions:
             if value and not has_bag:
                 raise ConfigError("needs an --out that ends in .bag or .mcap", name)
         if self.rate_hz is not None and not is_told:
-            raise ConfigError("limits what is told while the stream runs, but nothing is: name --udp", "--rate-hz")
+            raise ConfigError(
+                "limits what is told while the stream runs, but nothing is: name --udp or --view", "--rate-hz"
+            )
 
 
 def open_outlets(
@@ -92,6 +94,7 @@ def open_outlets(
     options: OutletOptions,
     sink: EventSink,
     more: Sequence[Outlet] = (),
+    last: Sequence[Outlet] = (),
 ) -> Outlets:
     """Open what was asked for.
 
@@ -101,6 +104,7 @@ def open_outlets(
         options: What was asked for.
         sink: Where warnings go.
         more: Outlets that are open already.
+        last: Outlets that are open already and are shown to people.
 
     Returns:
         The outlets in the order in which they take an answer: what is told at once, what is kept, what is drawn.
@@ -134,7 +138,7 @@ def open_outlets(
         if options.debug_images is not None:
             add(DebugFolders(options.debug_images, setup.sensors, force=options.force))
         opening.pop_all()
-    opened = Outlets(outlets, sink)
+    opened = Outlets([*outlets, *last], sink)
     stack.callback(opened.close)
     return opened
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import nan
 from time import monotonic
@@ -81,6 +81,7 @@ class Shown:
         latency_s: How long after its instant it was answered, s; None for a recording.
         work_s: What the sensor took for it, s.
         total: Number of captures if known.
+        shown_s: When it was answered, by the machine's monotonic clock, s.
     """
 
     capture: Capture
@@ -92,6 +93,29 @@ class Shown:
     latency_s: float | None
     work_s: float
     total: int | None
+    shown_s: float
+
+    @property
+    def active(self) -> BeaconLine | None:
+        """The line of the beacon that is believed, or the first; None without beacons."""
+        return next((line for line in self.lines if line.is_active), self.lines[0] if self.lines else None)
+
+
+@dataclass(frozen=True, slots=True)
+class GantryShown:
+    """The gantry, as it is shown.
+
+    Args:
+        activity: Its word for what it is doing.
+        is_homed: Whether its position means something.
+        positions: Each axis with its position in words, ``("X", "-12.000 mm")``.
+        said: What came of the last order.
+    """
+
+    activity: str
+    is_homed: bool
+    positions: tuple[tuple[str, str], ...]
+    said: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +138,13 @@ class PastPoint:
 
 
 class LiveState:
-    """Takes answers from the stream's thread; others look.
+    """Takes answers from the stream's thread; others look."""
 
-    Args:
-        total: Number of captures if known.
-    """
-
-    def __init__(self, total: int | None = None) -> None:
-        self._total = total
+    def __init__(self) -> None:
+        self.total: int | None = None
+        """Number of captures if known."""
+        self.gantry: Callable[[], GantryShown] | None = None
+        """Asks for the gantry; None without one."""
         self._changed = threading.Condition()
         self._shown: Shown | None = None
         self._past: deque[PastPoint] = deque(maxlen=_PAST)
@@ -153,7 +176,6 @@ class LiveState:
         shown = tuple(_line(name, outcome, note) for name, (outcome, note) in lines.items())
         work_s = sum(sum(_told(outcome).stage_s.values()) for outcome, _ in lines.values())
         now_s = monotonic()
-        active = next((line for line in shown if line.is_active), shown[0] if shown else None)
         with self._changed:
             self._captures += 1
             self._poses += any(line.status == "ok" for line in shown)
@@ -163,9 +185,9 @@ class LiveState:
             span_s = now_s - self._arrivals[0]
             rate_hz = (len(self._arrivals) - 1) / span_s if span_s > 0.0 else 0.0
             self._shown = Shown(
-                capture, shown, self._captures, self._poses, dropped, rate_hz, latency_s, work_s, self._total
+                capture, shown, self._captures, self._poses, dropped, rate_hz, latency_s, work_s, self.total, now_s
             )
-            if active is not None:
+            if (active := self._shown.active) is not None:
                 self._past.append(_past(self._captures, capture.t_ns, active))
             self._changed.notify_all()
 
