@@ -133,21 +133,14 @@ def reporter(path: Path, remarks: list[str]) -> Callable[[str, int], None]:
 
 
 def _typestore(channels: tuple[BagChannel, ...]) -> Any:
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    from rosbags.typesys import Stores, get_typestore
 
     types: dict[str, Any] = {}
     is_complete = True
     for channel in channels:
-        try:
-            if not channel.definition:
-                is_complete = False
-            elif channel.definition_kind == "msg":
-                types.update(get_types_from_msg(channel.definition, channel.msgtype))
-            else:
-                for text in re.split(r"^={80}\nIDL: .*\n", channel.definition, flags=re.MULTILINE):
-                    types.update(get_types_from_idl(text) if text.strip() else {})
-        except Exception:  # a definition nobody can read; the standard ones may do
-            is_complete = False
+        own = _own_types(channel)
+        types.update(own)
+        is_complete = is_complete and bool(own)
     if not is_complete:
         wires = {channel.wire for channel in channels}
         standard = get_typestore(Stores.ROS1_NOETIC if wires == {"ros1"} else Stores.ROS2_HUMBLE).fielddefs
@@ -155,3 +148,26 @@ def _typestore(channels: tuple[BagChannel, ...]) -> Any:
     store = get_typestore(Stores.EMPTY)
     store.register(types)
     return store
+
+
+def _own_types(channel: BagChannel) -> dict[str, Any]:
+    """The types a channel's definition says; none when it says nothing, or not what it was when it was recorded."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    found: dict[str, Any] = {}
+    try:
+        if channel.definition_kind == "msg" and channel.definition:
+            found = get_types_from_msg(channel.definition, channel.msgtype)
+        elif channel.definition:
+            for text in re.split(r"^={80}\nIDL: .*\n", channel.definition, flags=re.MULTILINE):
+                found.update(get_types_from_idl(text) if text.strip() else {})
+        if found and channel.digest:
+            store = get_typestore(Stores.EMPTY)
+            store.register(found)
+            is_ros1 = channel.wire == "ros1"
+            digest = store.generate_msgdef(channel.msgtype)[1] if is_ros1 else store.hash_rihs01(channel.msgtype)
+            # Decoded by another definition, bytes become wrong numbers without a word.
+            return found if channel.digest in (digest, "*") else {}
+    except Exception:  # a definition nobody can read; the standard ones may do
+        return {}
+    return found

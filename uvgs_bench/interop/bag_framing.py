@@ -39,6 +39,7 @@ class BagChannel:
         definition: Text of the definition; empty when the bag has none.
         definition_kind: ``msg`` or ``idl``.
         is_latched: Whether late subscribers got the last message.
+        digest: MD5 sum (ROS 1) or RIHS01 hash (ROS 2) of the definition; empty when the bag has none.
 
     Raises:
         FormatError: Topic or type are no names; a damaged bag may say anything.
@@ -50,6 +51,7 @@ class BagChannel:
     definition: str = ""
     definition_kind: str = "msg"
     is_latched: bool = False
+    digest: str = ""
 
     def __post_init__(self) -> None:
         for what, name in (("topic", self.topic), ("type", self.msgtype)):

@@ -253,6 +253,7 @@ def _channel(connection: Any, kind: str) -> BagChannel:
         "" if form == "NONE" else connection.msgdef.data,
         "idl" if form == "IDL" else "msg",
         is_latched,
+        connection.digest,
     )
 
 

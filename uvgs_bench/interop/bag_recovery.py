@@ -297,7 +297,8 @@ def _ros1_record(
         name = said.get(b"type", b"").decode("utf-8", "replace")
         text = said.get(b"message_definition", b"").decode("utf-8", "replace")
         is_latched = said.get(b"latching") == b"1"
-        channels[number] = BagChannel(topic, full_msgtype(name), "ros1", text, "msg", is_latched)
+        digest = said.get(b"md5sum", b"").decode("ascii", "replace")
+        channels[number] = BagChannel(topic, full_msgtype(name), "ros1", text, "msg", is_latched, digest)
     elif op == b"\x02":
         (number,) = struct.unpack("<I", fields.get(b"conn", b""))
         sec, nanosec = struct.unpack("<II", fields.get(b"time", b""))

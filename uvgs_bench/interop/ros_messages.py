@@ -379,11 +379,16 @@ def calibration_from_message(message: Any, source: str, *, is_rectified: bool = 
     Raises:
         FormatError: As ``lens_from_camera_info``.
     """
-    d, k, p = (getattr(message, name) if hasattr(message, name) else getattr(message, name.upper()) for name in "dkp")
-    roi = message.roi
-    sizes = (message.binning_x, message.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
-    window = Window(*(int(value) for value in sizes))
-    width, height = int(message.width), int(message.height)
+    try:
+        d, k, p = (
+            getattr(message, name) if hasattr(message, name) else getattr(message, name.upper()) for name in "dkp"
+        )
+        roi = message.roi
+        sizes = (message.binning_x, message.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
+        window = Window(*(int(value) for value in sizes))
+        width, height = int(message.width), int(message.height)
+    except AttributeError as error:
+        raise FormatError(f"is no CameraInfo: {error}", source) from None
     return lens_from_camera_info(
         width, height, str(message.distortion_model), d, k, p, window, is_rectified=is_rectified, source=source
     )

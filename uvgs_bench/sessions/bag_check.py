@@ -141,11 +141,13 @@ class _Watches:
         """Hand a message to those it concerns."""
         topic = message.channel.topic
         try:
-            fields = message.decode()
-        except FormatError as error:
+            self._look(message, topic)
+        except (FormatError, AttributeError) as error:  # a definition of the bag's own may lack a field
             self._torn[topic] += 1
             self._first_torn.setdefault(topic, str(error))
-            return
+
+    def _look(self, message: BagMessage, topic: str) -> None:
+        fields = message.decode()
         self.stamps[topic].see(fields, message.log_ns)
         if topic in self.pictures:
             self.pictures[topic].see(fields)

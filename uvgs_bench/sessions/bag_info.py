@@ -140,5 +140,5 @@ def _detail(bags: Bags, topic: str) -> str:
         return f"{lens.model} {lens.width_px}x{lens.height_px} px"
     except StopIteration:
         return ""
-    except FormatError as error:
+    except (FormatError, AttributeError) as error:  # a definition of the bag's own may lack a field
         return str(error).removeprefix(f"{topic}: ")

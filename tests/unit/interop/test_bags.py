@@ -171,6 +171,19 @@ def test_no_picture_comes_that_never_was_when_bytes_are_missing_in_the_middle(tm
         assert min(counts) >= 5
 
 
+def test_a_definition_that_is_not_what_was_recorded_is_not_used(tmp_path):
+    path = write_bag(tmp_path, "ros1", notes())
+    # Two fields exchanged: the same bytes would be other numbers. The sum of the definition tells.
+    right, wrong = (f"uint32 {a}\nuint32 {b}\nstring".encode() for a, b in (("height", "width"), ("width", "height")))
+    broken = path.read_bytes().replace(right, wrong)
+    assert broken != path.read_bytes()
+    path.write_bytes(broken)
+    with open_bags([path]) as bags:
+        assert pictures(bags) == list(range(8))
+        image = next(bags.messages(["/cam/image_raw"])).decode()
+        assert (image.width, image.height) == (40, 30)
+
+
 def test_a_bag_that_was_never_closed_is_read(tmp_path):
     path = write_bag(tmp_path, "ros1", notes(), chunk_bytes=3000)
     whole = bytearray(path.read_bytes())

@@ -146,10 +146,11 @@ class BagImages(ClosingSource):
             return None
         for message in self._bags.messages([self._info_topic]):
             try:
-                self._info = _info_key(message.decode())
-                return calibration_from_message(
-                    message.decode(), self._info_topic, is_rectified=bag_topics.is_rectified(self._topic)
-                )
+                fields = message.decode()
+                is_rectified = bag_topics.is_rectified(self._topic)
+                found = calibration_from_message(fields, self._info_topic, is_rectified=is_rectified)
+                self._info = _info_key(fields)
+                return found
             except FormatError as error:
                 raise CaptureError(str(error)) from None
         return None
@@ -174,7 +175,8 @@ class BagImages(ClosingSource):
             try:
                 fields = message.decode()
                 image = self._image(fields, message, name)
-            except FormatError as error:
+                t_ns = self._stamp_ns(fields, message.log_ns)
+            except (FormatError, AttributeError) as error:  # a definition of the bag's own may lack a field
                 self._torn += 1
                 self._say(str(error), self._torn)
                 first_problem = self._own_remarks[0] if self._next == 0 else ""
@@ -182,7 +184,6 @@ class BagImages(ClosingSource):
                     self.close()
                     raise CaptureError(f"no image can be read: {first_problem}") from None
                 continue
-            t_ns = self._stamp_ns(fields, message.log_ns)
             if t_ns < self._last_ns:
                 back_ns = self._last_ns - t_ns
                 said = f"header stamp is earlier than that of the image before, by {s_from_ns(back_ns):.3f} s"
