@@ -46,7 +46,14 @@ def source():
     ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     camera = Pose(ahead, np.array([0.1, 0.0, 0.05]), "body", "camera")
     beacon = Pose(ahead, np.array([1.2, 0.1, 0.0]), "world", "beacon")
-    return drawn_source(fly(9), beacon, camera)
+    whole = drawn_source(fly(9), beacon, camera)
+    # Nine seconds are enough: rest, two legs and a corner.
+    return replace(
+        whole,
+        imu=whole.imu.between(0, 9_000_000_000),
+        sensed=tuple(pose for pose in whole.sensed if pose.t_ns < 9_000_000_000),
+        native=tuple(m for m in whole.native if m.t_ns < 9_000_000_000),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +73,7 @@ def test_a_bag_is_fused_to_the_truth(folder, source, tmp_path, capsys, ending):
     code = run("fuse", bag, "--setup", folder / "setup.toml", "--out", out, "--json", "-q")
     said = json.loads(capsys.readouterr().out)
     assert code == 0, said["problems"]
-    assert said["runs"][0]["updates"]["uvgs"]["fused"] > 150
+    assert said["runs"][0]["updates"]["uvgs"]["fused"] > 70
     assert any("counts as delay" in line for line in said["remarks"])
     with out.open() as text:
         rows = list(csv.DictReader(text))
@@ -88,8 +95,8 @@ def test_states_are_written_to_every_format_alike(folder, tmp_path, capsys):
         table = list(csv.DictReader(text))
     lines = [line.split() for line in outs[1].read_text().splitlines() if not line.startswith("#")]
     records = [json.loads(line) for line in outs[2].read_text().splitlines()]
-    assert len(table) == len(lines) == len(records) > 300
-    k = 200
+    assert len(table) == len(lines) == len(records) > 150
+    k = 100
     row = table[k]
     place = [float(row[name]) for name in ("x_m", "y_m", "z_m")]
     assert [float(v) for v in lines[k][1:4]] == place == records[k]["t_m"]
@@ -154,7 +161,7 @@ def test_another_localiser_is_used_when_named(folder, tmp_path, capsys):
     assert run("fuse", folder / "all.bag", "--setup", setup, "--json", "-q") in (0, 3)
     said = json.loads(capsys.readouterr().out)
     assert [way["name"] for way in said["runs"]] == ["fused", "native alone", "without native"]
-    assert said["runs"][0]["updates"]["native"]["fused"] > 10
+    assert said["runs"][0]["updates"]["native"]["fused"] > 5
 
 
 @pytest.mark.parametrize(
@@ -193,7 +200,7 @@ def test_poses_alone_need_no_inertial_unit(source, folder, tmp_path, capsys):
     bag = tmp_path / "poses.bag"
     write_bag(bag, source, with_imu=False)
     assert run("fuse", bag, "--setup", folder / "setup.toml", "--method", "ar_swap", "--json", "-q") == 0
-    assert json.loads(capsys.readouterr().out)["runs"][0]["states"] > 300
+    assert json.loads(capsys.readouterr().out)["runs"][0]["states"] > 150
 
 
 def test_the_missing_extra_is_one_line(folder, capsys, monkeypatch):
@@ -214,7 +221,7 @@ def test_the_missing_extra_is_one_line(folder, capsys, monkeypatch):
 def test_false_poses_are_refused_and_counted(folder, capsys):
     run("fuse", folder / "all.bag", "--setup", folder / "setup.toml", "--false-poses", "0.1:0.3", "--json", "-q")
     said = json.loads(capsys.readouterr().out)
-    assert said["false_poses"] > 5
+    assert said["false_poses"] > 3
     assert said["runs"][0]["false_believed"] == 0
     assert said["runs"][1]["name"] == "without false poses"
 

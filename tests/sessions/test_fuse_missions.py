@@ -12,6 +12,7 @@ from tests.helpers.synthetic_run import synthetic_run, write_run
 from uvgs_bench.cli.app import main
 from uvgs_bench.devices.sim.mission_scene import MISSIONS, _beacon_at, _path, occlusion_mission
 from uvgs_bench.navigation.fusion_data import FalsePoses
+from uvgs_bench.navigation.fusion_score import score
 from uvgs_bench.report.fusion_page import build_fusion_document
 from uvgs_bench.report.html import render_html
 from uvgs_bench.report.json_export import render_json
@@ -37,30 +38,38 @@ def flown():
     return simulate_mission(short_mission(), 3)
 
 
-def test_rendered_poses_are_fused_through_an_occlusion(flown):
-    outcome = run_fusion(flown, "filter", FusionOptions())
-    score = outcome.main.score
+@pytest.fixture(scope="module")
+def outcome(flown):
+    return run_fusion(flown, "filter", FusionOptions())
+
+
+@pytest.fixture(scope="module")
+def spoilt(flown):
+    return run_fusion(flown, "filter", FusionOptions(), FalsePoses(0.05, 0.3, 2))
+
+
+def test_rendered_poses_are_fused_through_an_occlusion(flown, outcome):
+    found = outcome.main.score
     assert outcome.problems == ()
     assert 10 <= len(flown.misses_ns) <= 14  # 1.2 s at 10 Hz
-    (through,) = score.pauses
+    (through,) = found.pauses
     assert through.pause.length_s == pytest.approx(1.3, abs=0.11)
     # Biases measured over 3 s of rest: some 2 mm of doubt after 1.2 s.
     assert through.worst_m < 0.012
     assert through.jump_sigma < 3.5
     # Rendered poses are good to some 0.2 mm from 0.8 m.
-    outside = score.distance_m[(score.t_s < 5.5) | (score.t_s > 8.0)]
+    outside = found.distance_m[(found.t_s < 5.5) | (found.t_s > 8.0)]
     assert np.sqrt(np.mean(outside**2)) < 0.001
-    assert 5.0 < np.mean(score.nees) < 14.0  # 9 expected; instants of one flight hang together
+    assert 5.0 < np.mean(found.nees) < 14.0  # 9 expected; instants of one flight hang together
 
 
-def test_false_poses_hardly_matter_and_poses_alone_suffer_from_occlusion(flown):
-    spoilt = run_fusion(flown, "filter", FusionOptions(), FalsePoses(0.05, 0.3, 2))
+def test_false_poses_hardly_matter_and_poses_alone_suffer_from_occlusion(flown, spoilt):
     assert len(spoilt.false_ns) >= 2
     assert spoilt.main.score.false_believed == 0
     clean = next(run for run in spoilt.runs if run.name == "without false poses")
     assert spoilt.main.score.position_rms_m < 1.2 * clean.score.position_rms_m
-    alone = run_fusion(flown, "ar_swap", FusionOptions())
-    assert alone.main.score.worst_m > 2.0 * clean.score.worst_m
+    alone = score(flown, fuse(flown, "ar_swap"))
+    assert alone.worst_m > 2.0 * clean.score.worst_m
 
 
 def test_the_graph_agrees_with_the_filter(flown):
@@ -76,9 +85,8 @@ def test_the_graph_agrees_with_the_filter(flown):
         assert (np.abs(b.world_from_body.t_m - c.world_from_body.t_m) < allowed).all()
 
 
-def test_the_report_says_what_was_found(flown):
-    outcome = run_fusion(flown, "filter", FusionOptions(), FalsePoses(0.05, 0.3, 2))
-    document = build_fusion_document(outcome, {"seed": "3"})
+def test_the_report_says_what_was_found(spoilt):
+    document = build_fusion_document(spoilt, {"seed": "3"})
     data = json.loads(render_json(document))
     assert [section["key"] for section in data["sections"]] == [
         "ways", "path", "pauses", "consistency", "fit", "definitions",
@@ -88,26 +96,22 @@ def test_the_report_says_what_was_found(flown):
     assert [row[0]["shown"] for row in ways["rows"]] == [
         "fused", "without false poses", "native alone", "without native", "sensor alone, at its captures",
     ]  # fmt: skip
-    assert ways["rows"][0][1]["value"] == pytest.approx(1e3 * outcome.main.score.position_rms_m)
+    assert ways["rows"][0][1]["value"] == pytest.approx(1e3 * spoilt.main.score.position_rms_m)
     assert render_html(document) == render_html(document)
 
 
-def test_a_mission_runs_from_the_command_line(flown, monkeypatch, capsys, tmp_path):
+def test_a_mission_runs_from_the_command_line(outcome, monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(MISSIONS, "short", short_mission)
     with pytest.raises(SystemExit) as left:
         main(["fuse", "sim:short", "--seed", "3", "--json", "-q", "--report", str(tmp_path / "report")])
     said = json.loads(capsys.readouterr().out)
     assert left.value.code == 0
-    assert said["runs"][0]["position_rms_m"] == fuse_rms(flown)
+    assert said["runs"][0]["position_rms_m"] == outcome.main.score.position_rms_m
     assert sorted(said["reports"]) == ["html", "json", "pdf"]
 
 
-def fuse_rms(source):
-    return run_fusion(source, "filter", FusionOptions()).main.score.position_rms_m
-
-
 def test_a_recorded_run_is_fused_with_a_simulated_unit(tmp_path, capsys):
-    path = write_run(synthetic_run(), tmp_path / "run")
+    path = write_run(synthetic_run(stations=8), tmp_path / "run")
     with pytest.raises(SystemExit) as left:
         main(["fuse", str(path), "--json", "-q"])
     said = json.loads(capsys.readouterr().out)

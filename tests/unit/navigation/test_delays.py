@@ -21,7 +21,8 @@ WORLD_FROM_BEACON = Pose.exp((-1.2, 1.2, -1.2, 1.2, 0.1, 0.0), "world", "beacon"
 @pytest.fixture(scope="module")
 def flown():
     flight = fly(6)
-    return flight, drawn_source(flight, WORLD_FROM_BEACON, BODY_FROM_CAMERA)
+    whole = drawn_source(flight, WORLD_FROM_BEACON, BODY_FROM_CAMERA)
+    return flight, replace(whole, sensed=whole.sensed[:110])
 
 
 def misfit_of(flown, source):
@@ -33,7 +34,7 @@ def misfit_of(flown, source):
 def test_a_set_up_that_fits(flown):
     found = misfit_of(flown, flown[1])
     assert misfit_lines(found) == ()
-    # Some 1000 numbers: the mean square of right innovations lies within 0.2 of 1.
+    # Some 650 numbers: the mean square of right innovations lies within 0.2 of 1.
     assert found.surprise_before == pytest.approx(1.0, abs=0.2)
     values = np.concatenate(([found.offset_s], found.rotation_rad, found.shift_m))
     assert (np.abs(values) < 4.0 * found.sigma)[list(found.is_known)].all()
