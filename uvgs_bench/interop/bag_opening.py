@@ -14,7 +14,7 @@ from typing import Any
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop import bag_recovery as recovery
 from uvgs_bench.interop.bag_file import ZSTD, BagFile, one_line, reporter
-from uvgs_bench.interop.bag_framing import BagChannel, Record, full_msgtype, unpack_file
+from uvgs_bench.interop.bag_framing import BagChannel, Record, full_msgtype, shown, unpack_file
 from uvgs_bench.interop.mcap_recovery import MCAP_MAGIC, mcap_compression, scan_mcap
 
 Scan = Callable[[Path, Callable[[str, int], None]], Iterator[Record]]
@@ -44,7 +44,7 @@ def open_bag_file(path: Path) -> BagFile:
         return _open_indexed(path, path, "ROS 2 sqlite3", recovery.scan_sqlite)
     if start.startswith(b"#ROSBAG V"):
         raise FormatError(
-            f"is a ROS bag of version {start[9:13].decode(errors='replace').strip()}, expected 2.0", str(path)
+            f"is a ROS bag of version {shown(start[9:13].decode('ascii', 'replace'))}, expected 2.0", str(path)
         )
     what = "is empty" if not start else f"begins with {start[:8]!r}"
     raise FormatError(f"is no ROS bag: it {what}, expected a ROS 1 bag, MCAP or SQLite", str(path))

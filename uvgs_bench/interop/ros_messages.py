@@ -191,7 +191,7 @@ def image_from_message(
     elif encoding in _YUV:
         size, channels, is_red_first = 1, 2, False
     else:
-        raise FormatError(f"has encoding '{encoding}', expected one of {', '.join(ENCODINGS)}", source)
+        raise FormatError(f"has encoding {encoding!r}, expected one of {', '.join(ENCODINGS)}", source)
     used = width * channels * size
     if width < 1 or height < 1 or step < used or raw.size < height * step:
         said = f"{width}x{height} px of {encoding} in rows of {step} bytes"

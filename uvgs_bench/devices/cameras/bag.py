@@ -10,6 +10,7 @@ from uvgs_bench.devices.cameras.base import ClosingSource
 from uvgs_bench.devices.clock import Clock
 from uvgs_bench.errors import CaptureError, ConfigError, FormatError
 from uvgs_bench.interop import bag_topics
+from uvgs_bench.interop.bag_framing import shown
 from uvgs_bench.interop.bags import open_bags
 from uvgs_bench.interop.ros_messages import (
     ENCODINGS,
@@ -211,7 +212,7 @@ class BagImages(ClosingSource):
             return image_from_compressed(str(fields.format), fields.data, name)
         if fields.encoding not in ENCODINGS:
             # No other picture of this topic will be better.
-            raise CaptureError(f"has encoding '{fields.encoding}', expected one of {', '.join(ENCODINGS)}", name)
+            raise CaptureError(f"has encoding {fields.encoding!r}, expected one of {', '.join(ENCODINGS)}", name)
         size = int(fields.width), int(fields.height), int(fields.step)
         return image_from_message(str(fields.encoding), *size, fields.is_bigendian, fields.data, name)
 
@@ -241,7 +242,7 @@ class BagImages(ClosingSource):
 
     def _say(self, text: str, count: int) -> None:
         if count <= _MOST_REMARKS:
-            self._own_remarks.append(text)
+            self._own_remarks.append(shown(text))
         elif count == _MOST_REMARKS + 1:
             self._own_remarks.append(f"{self._topic}: and more of that kind")
 
