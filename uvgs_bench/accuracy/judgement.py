@@ -150,6 +150,7 @@ def judge(
             "nothing to judge",
             diagnosis=_diagnosis(obs, None, lens, beacon).suspects,
         )
+    table = table.in_blocks()
     in_sample = None if independent is not None else error_table(fitted_on, registration)
     summary = summarise(table, rng)
     named = quantities(judged, table, registration, rng)
@@ -302,13 +303,8 @@ def _summary_alerts(summary: AccuracySummary | None) -> list[Alert]:
     if summary is None:
         return [Alert("error", "no station that judges has a pose: there is no accuracy to state")]
     alerts = []
-    if summary.station_count < LEAST_PLACES:
-        alerts.append(
-            Alert(
-                "warning",
-                f"only {summary.station_count} stations judge: intervals need at least {LEAST_PLACES}",
-            )
-        )
+    if summary.station_count + summary.block_count < LEAST_PLACES:
+        alerts.append(Alert("warning", f"only {summary.extent} judge: intervals need at least {LEAST_PLACES}"))
     if summary.outlier_count:
         alerts.append(
             Alert(

@@ -13,6 +13,9 @@ from uvgs_bench.geometry import FloatArray, read_only
 Mount = Literal["beacon_on_carriage", "camera_on_carriage"]
 Role = Literal["register", "judge"]
 
+REST_MPS, REST_RADPS = 1e-4, 1e-3
+"""A carriage slower than both is at rest, m/s and rad/s."""
+
 
 def _no_integers() -> NDArray[np.int64]:
     return np.empty(0, dtype=np.int64)
@@ -45,6 +48,7 @@ class Observations:
         place: Waypoint of each capture, shape (N,): stations that revisit a place share its systematic errors, so they
             are one when doubts are computed; the station itself when empty.
         velocity_gs_mps: Velocity of the carriage in gantry axes at the capture, shape (N, 3), m/s; at rest when empty.
+        turn_gs_radps: Angular velocity of the carriage, likewise, shape (N, 3), rad/s.
         approach: Sign of the last motion of each axis before the capture, shape (N, A); 0 where it is not known.
         session: Which of several repeated runs a capture comes from, shape (N,).
         exposure_s: Exposure, shape (N,), s; NaN where it is not known.
@@ -73,6 +77,7 @@ class Observations:
     mount: Mount = "beacon_on_carriage"
     place: NDArray[np.int64] = field(default_factory=_no_integers)
     velocity_gs_mps: FloatArray = field(default_factory=_no_floats)
+    turn_gs_radps: FloatArray = field(default_factory=_no_floats)
     approach: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, dtype=np.int8))
     session: NDArray[np.int64] = field(default_factory=_no_integers)
     exposure_s: FloatArray = field(default_factory=_no_floats)
@@ -88,6 +93,7 @@ class Observations:
         neutral: dict[str, NDArray[Any]] = {
             "place": self.station,
             "velocity_gs_mps": np.broadcast_to(0.0, (N, 3)),
+            "turn_gs_radps": np.broadcast_to(0.0, (N, 3)),
             "approach": np.broadcast_to(np.int8(0), self.axis_position.shape),
             "session": np.broadcast_to(np.int64(0), (N,)),
             "exposure_s": np.broadcast_to(np.nan, (N,)),
@@ -106,6 +112,12 @@ class Observations:
     def count(self) -> int:
         """Number of captures, misses included."""
         return len(self.station)
+
+    @property
+    def is_moving(self) -> NDArray[np.bool_]:
+        """Whether the carriage moved or turned at the capture, shape (N,)."""
+        is_fast = np.linalg.norm(self.velocity_gs_mps, axis=1) > REST_MPS
+        return np.asarray(is_fast | (np.linalg.norm(self.turn_gs_radps, axis=1) > REST_RADPS))
 
     @property
     def noise_covariance(self) -> FloatArray:

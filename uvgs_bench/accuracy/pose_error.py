@@ -12,6 +12,7 @@ from uvgs_bench.accuracy.bench_model import gantry_covariance, pose_residuals
 from uvgs_bench.accuracy.observations import Observations, Role
 from uvgs_bench.accuracy.registration import Registration
 from uvgs_bench.accuracy.tangent import hats, rotation_logs
+from uvgs_bench.accuracy.time_blocks import independent_parts
 from uvgs_bench.geometry import FloatArray, read_only
 
 
@@ -21,7 +22,8 @@ class ErrorTable:
 
     Args:
         station: Station of each capture, shape (N,).
-        place: Place of each capture, shape (N,): stations that revisit a place count as one in every interval.
+        place: Place of each capture, shape (N,): stations that revisit a place count as one in every interval; for
+            captures in motion the block of time instead, a negative number, once ``in_blocks`` has found them.
         role: Role of each capture's station, length N.
         t_ns: Instants, shape (N,), ns.
         axis_position: Reported machine positions, shape (N, A), m or rad.
@@ -37,6 +39,8 @@ class ErrorTable:
         nees: Squared error over the predicted covariance (sensor, gantry and registration), shape (N,), 6 on average.
         registration_factor: Effect of the registration's own doubt on (rotation error, translation error), shape
             (N, 6, K), rad and m: its covariance is ``F F^T``; K is 12, or 20 when terms were fitted beside the poses.
+        is_moving: Whether the carriage moved or turned at the capture, shape (N,).
+        session: Which of several repeated runs it comes from, shape (N,).
     """
 
     station: NDArray[np.int64]
@@ -55,6 +59,8 @@ class ErrorTable:
     view_angle_rad: FloatArray
     nees: FloatArray
     registration_factor: FloatArray
+    is_moving: NDArray[np.bool_]
+    session: NDArray[np.int64]
 
     @property
     def count(self) -> int:
@@ -117,7 +123,14 @@ class ErrorTable:
             view_angle_rad=self.view_angle_rad[chosen],
             nees=self.nees[chosen],
             registration_factor=self.registration_factor[chosen],
+            is_moving=self.is_moving[chosen],
+            session=self.session[chosen],
         )
+
+    def in_blocks(self) -> ErrorTable:
+        """The same errors with captures in motion parted into blocks of time that are independent of one another."""
+        errors = np.column_stack([self.rotation_error_rad, self.translation_error_m])
+        return replace(self, place=independent_parts(self.place, self.is_moving, self.t_ns, self.session, errors))
 
 
 def error_table(obs: Observations, registration: Registration) -> ErrorTable:
@@ -170,6 +183,8 @@ def error_table(obs: Observations, registration: Registration) -> ErrorTable:
         view_angle_rad=read_only(view),
         nees=read_only(nees),
         registration_factor=read_only(factor),
+        is_moving=obs.is_moving,
+        session=obs.session,
     )
 
 

@@ -34,8 +34,6 @@ from uvgs_bench.units import NS_PER_S, rad_from_deg
 
 __all__ = ["Quantity", "quantities"]
 
-REST_MPS = 1e-4
-"""Carriages slower than this are at rest."""
 # A pose this unlikely under its own covariance (5 sigma of one figure), and off by this much, is a false fix.
 _FALSE_NEES = 39.8
 _FALSE_RANGE_SHARE = 0.03
@@ -59,8 +57,7 @@ def quantities(
     Returns:
         One quantity per key of ``TEXTS`` that is of a whole run, in that order; then the groups.
     """
-    speed = np.linalg.norm(obs.velocity_gs_mps, axis=1)
-    is_moving = speed > REST_MPS
+    is_moving = obs.is_moving
     resting = table.is_solved & ~is_moving
     still = table.select(resting)
     found: dict[str, Estimate] = {}

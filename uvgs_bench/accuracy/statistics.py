@@ -15,6 +15,7 @@ from uvgs_bench.accuracy.intervals import moment_intervals, ratio_interval, with
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.accuracy.order_intervals import fraction_interval, max_interval, quantile_interval
 from uvgs_bench.accuracy.pose_error import ErrorTable
+from uvgs_bench.accuracy.time_blocks import independent_parts
 
 __all__ = [
     "AccuracySummary",
@@ -130,11 +131,13 @@ class AccuracySummary:
         registration_share_rad: The same for the attitude errors, rad.
         range_min_m: Smallest predicted range among the captures with a pose, m.
         range_max_m: Largest, m.
-        station_count: Stations with a pose.
+        station_count: Stations at rest with a pose (those that revisit a place count once).
         capture_count: Captures with a pose.
         outlier_count: Captures further off than five times the usual distance; they are included in every figure.
         consistency_by_range: The check of the covariance by range, from near to far: range in words, result; empty
             when all captures are about equally far.
+        moving_count: Captures with a pose taken in motion; they count as no station.
+        block_count: Blocks of time they were parted into, each independent of the others.
     """
 
     components: dict[str, ComponentStatistics]
@@ -147,6 +150,15 @@ class AccuracySummary:
     capture_count: int
     outlier_count: int
     consistency_by_range: tuple[tuple[str, Consistency], ...] = ()
+    moving_count: int = 0
+    block_count: int = 0
+
+    @property
+    def extent(self) -> str:
+        """What the figures rest on, in words: captures in motion are never counted as stations."""
+        parts = [_counted(self.station_count, "station")] if self.station_count else []
+        parts += [f"{_counted(self.block_count, 'block')} of motion"] if self.block_count else []
+        return " and ".join(parts)
 
 
 def availability(obs: Observations, rng: np.random.Generator) -> Availability:
@@ -161,7 +173,8 @@ def availability(obs: Observations, rng: np.random.Generator) -> Availability:
     """
     if obs.count == 0:
         return Availability(Estimate(np.nan, 0.0, 1.0, 0, 0, "no captures"), 0, 0, {})
-    fraction = fraction_interval(obs.is_solved, Clusters.of(obs.place, rng))
+    part = independent_parts(obs.place, obs.is_moving, obs.t_ns, obs.session, obs.is_solved[:, None].astype(np.float64))
+    fraction = fraction_interval(obs.is_solved, Clusters.of(part, rng))
     reasons = Counter(reason for reason, solved in zip(obs.reason, obs.is_solved, strict=True) if not solved)
     ordered = dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0])))
     return Availability(fraction, obs.count, int(obs.is_solved.sum()), ordered)
@@ -171,16 +184,19 @@ def summarise(table: ErrorTable, rng: np.random.Generator) -> AccuracySummary | 
     """All figures of a set of captures.
 
     Args:
-        table: Errors; misses are left out.
+        table: Errors; misses are left out, and captures in motion are parted into blocks of time.
         rng: Source of randomness for the intervals; the same seed gives the same intervals.
 
     Returns:
         The figures, or None when no capture has a pose.
     """
-    solved = table.select(table.is_solved)
+    solved = table.select(table.is_solved).in_blocks()
     if solved.count == 0:
         return None
+    at_rest = len(np.unique(solved.place[~solved.is_moving]))
     clusters = Clusters.of(solved.place, rng)
+    still = solved.select(~solved.is_moving)
+    at_stations = clusters if still.count == solved.count else Clusters.of(still.place, rng)
     components = {}
     for name, (unit, axes) in _COMPONENTS.items():
         chosen = list(axes)
@@ -188,7 +204,7 @@ def summarise(table: ErrorTable, rng: np.random.Generator) -> AccuracySummary | 
         factor = solved.registration_factor[:, [axis + (3 if unit == "m" else 0) for axis in axes]]
         sizes = np.linalg.norm(errors, axis=1)
         moments = moment_intervals(errors, factor, clusters)
-        within, between = within_and_between(errors, clusters)
+        within, between = within_and_between(errors[~solved.is_moving], at_stations)
         components[name] = ComponentStatistics(
             name=name,
             unit=unit,
@@ -209,11 +225,17 @@ def summarise(table: ErrorTable, rng: np.random.Generator) -> AccuracySummary | 
         registration_share_rad=float(np.sqrt((solved.registration_sigma_rad**2).mean())),
         range_min_m=float(solved.range_m.min()),
         range_max_m=float(solved.range_m.max()),
-        station_count=clusters.count,
+        station_count=at_rest,
         capture_count=clusters.captures,
         outlier_count=int((solved.nees > _OUTLIER**2 * _DOF * max(usual, 1e-12)).sum()),
         consistency_by_range=_by_range(solved, rng),
+        moving_count=int(solved.is_moving.sum()),
+        block_count=clusters.count - at_rest,
     )
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 def _by_range(solved: ErrorTable, rng: np.random.Generator) -> tuple[tuple[str, Consistency], ...]:

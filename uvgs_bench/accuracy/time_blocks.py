@@ -92,3 +92,38 @@ def stretches(t_ns: NDArray[np.int64], session: NDArray[np.int64]) -> NDArray[np
     step = np.diff(t_ns)
     begins = (step > 10 * max(int(np.median(step)), 1)) | (step < 0) | (np.diff(session) != 0)
     return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)
+
+
+def independent_parts(
+    place: NDArray[np.int64],
+    is_moving: NDArray[np.bool_],
+    t_ns: NDArray[np.int64],
+    session: NDArray[np.int64],
+    values: FloatArray,
+) -> NDArray[np.int64]:
+    """Parts of a run whose errors do not follow from one another: places at rest, blocks of time in motion.
+
+    Args:
+        place: Place of each capture, shape (n,), not negative.
+        is_moving: Whether the carriage moved at it, shape (n,).
+        t_ns: Its instant, shape (n,), ns.
+        session: Its run, shape (n,).
+        values: What is correlated, shape (n, d); rows with NaN join the block before them.
+
+    Returns:
+        Part of each capture, shape (n,): places as they are, blocks as negative numbers that other runs do not have.
+        In motion places are kept where they are fewer than blocks would be.
+    """
+    out = place.copy()
+    order = np.flatnonzero(is_moving)
+    order = order[np.lexsort((t_ns[order], session[order]))]
+    is_known = np.isfinite(values[order]).all(axis=1)
+    known = order[is_known]
+    if len(known) == 0:
+        return out
+    own, _ = time_blocks(values[known], stretches(t_ns[known], session[known]))
+    block = own[np.maximum(np.cumsum(is_known) - 1, 0)]
+    first = np.unique(block, return_index=True)[1]
+    if len(first) < len(np.unique(place[order])):
+        out[order] = -1 - t_ns[order[first]][block]
+    return out

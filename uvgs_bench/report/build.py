@@ -101,7 +101,7 @@ def _key_figures(judgement: Judgement) -> tuple[KeyFigure, ...]:
             statistics = judgement.summary.components[component]
             estimate, scale = getattr(statistics, statistic), SCALES[statistics.unit]
             shown, decimals = estimate.scaled(scale.factor), decimals_of([statistics.rms], scale.factor)
-            note = f"{estimate.station_count} stations, {estimate.capture_count} captures"
+            note = f"{judgement.summary.extent}, {estimate.capture_count} captures"
             interval = Interval(shown.low, shown.high, decimals, scale.unit)
             figures.append(KeyFigure(label, Number(shown.value, decimals, scale.unit), interval, note))
     a, percent = judgement.availability, SCALES["percent"]

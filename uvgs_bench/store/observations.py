@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from uvgs_bench.accuracy.observations import Observations
 from uvgs_bench.devices.gantry.axes import Axis, gantry_from_carriage
 from uvgs_bench.geometry import FloatArray, Pose, read_only
+from uvgs_bench.geometry.se3 import so3_log
 from uvgs_bench.sensor.outcome import PoseEstimate
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def observations_from_run(run: Run) -> Observations:
     R_cb, t_cb, covariance = np.full((N, 3, 3), np.nan), np.full((N, 3), np.nan), np.full((N, 6, 6), np.nan)
     by_beacon, by_lens = np.full((N, 6, 6), np.nan), np.full((N, 6, 6), np.nan)
     rms_px, exposure_s = np.full(N, np.nan), np.full(N, np.nan)
-    velocity = np.zeros((N, 3))
+    velocity, turn = np.zeros((N, 3)), np.zeros((N, 3))
     led_px = np.full((N, len(run.beacon.leds), 2), np.nan)
     known: dict[bytes, Pose] = {}
     for i, sample in enumerate(samples):
@@ -46,7 +47,7 @@ def observations_from_run(run: Run) -> Observations:
             known[at] = gantry_from_carriage(run.manifest.axes, sample.position)
         R_gs[i], t_gs[i] = known[at].R, known[at].t_m
         if sample.is_moving:
-            velocity[i] = _carriage_velocity(run.manifest.axes, sample.position, sample.velocity)
+            velocity[i], turn[i] = _carriage_rates(run.manifest.axes, sample.position, sample.velocity)
         if sample.exposure_s is not None:
             exposure_s[i] = sample.exposure_s
         seen = sample.outcome.led_px
@@ -77,6 +78,7 @@ def observations_from_run(run: Run) -> Observations:
         reason=tuple(sample.reason for sample in samples),
         mount=run.manifest.mount,
         velocity_gs_mps=read_only(velocity),
+        turn_gs_radps=read_only(turn),
         place=np.array([sample.waypoint for sample in samples], dtype=np.int64),
         approach=_approaches(run),
         exposure_s=read_only(exposure_s),
@@ -89,11 +91,11 @@ def observations_from_run(run: Run) -> Observations:
     )
 
 
-def _carriage_velocity(axes: Sequence[Axis], position: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Velocity of the carriage in gantry axes, shape (3,), m/s, for axis positions and their rates."""
-    before = gantry_from_carriage(axes, position - _STEP_S * velocity).t_m
-    after = gantry_from_carriage(axes, position + _STEP_S * velocity).t_m
-    return np.asarray((after - before) / (2.0 * _STEP_S))
+def _carriage_rates(axes: Sequence[Axis], position: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocity (3,), m/s, and angular velocity (3,), rad/s, of the carriage in gantry axes for rates of the axes."""
+    before = gantry_from_carriage(axes, position - _STEP_S * rates)
+    after = gantry_from_carriage(axes, position + _STEP_S * rates)
+    return (after.t_m - before.t_m) / (2.0 * _STEP_S), so3_log(after.R @ before.R.T) / (2.0 * _STEP_S)
 
 
 def _approaches(run: Run) -> NDArray[np.int8]:

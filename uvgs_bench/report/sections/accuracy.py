@@ -67,11 +67,19 @@ def _notes(statistics: ComponentStatistics) -> str:
 
 
 def _introduction(summary: AccuracySummary) -> str:
+    moving = ""
+    if summary.moving_count:
+        worth = summary.components["position"].rms.effective_count
+        moving = (
+            f" {summary.moving_count} captures were taken in motion: those that follow one another share errors, so "
+            f"they count by {summary.block_count} blocks of time that are independent, not as stations. All captures "
+            f"together are worth {worth:.0f} independent ones."
+        )
     return (
-        f"{summary.capture_count} captures at {summary.station_count} stations that took no part in the registration, "
+        f"{summary.capture_count} captures at {summary.extent} that took no part in the registration, "
         f"{summary.range_min_m:.3f} m to {summary.range_max_m:.3f} m from the camera. Errors are observed minus "
         "expected, in camera axes. Intervals come from resampling whole stations: captures of one station are not "
-        "independent."
+        f"independent.{moving}"
     )
 
 
