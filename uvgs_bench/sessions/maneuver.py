@@ -21,7 +21,7 @@ from uvgs_bench.sessions.interruption import check_interruption
 from uvgs_bench.sessions.pattern_trajectory import LOOK_AHEAD_S, Motion
 from uvgs_bench.sessions.planning import Plan
 from uvgs_bench.store.run import RunWriter, Sample
-from uvgs_bench.units import mm_from_m, ms_from_s, ns_from_s, s_from_ns
+from uvgs_bench.units import mm_from_m, ms_from_s, ns_from_s, rad_from_deg, s_from_ns
 
 if TYPE_CHECKING:
     from uvgs_bench.sessions.sweep import Rig
@@ -36,6 +36,8 @@ _DRY_S = 0.1
 _SLOW = 1e-3
 # Slower than this by two reports, m/s or rad/s, a carriage that is told to wait stands.
 _STANDS = 1e-4
+# Errors of lens and beacon hardly change over this, m and rad: laps come by the same places again.
+_CELL_M, _CELL_RAD = 0.05, rad_from_deg(10.0)
 _BATCH = 50
 _MOST_HELD_BYTES = 1_000_000_000
 
@@ -71,7 +73,7 @@ class _Shot:
 
 @dataclass(slots=True)
 class _Record:
-    """Everything of a motion that is not on disk yet, and figures of the whole."""
+    """Everything of a motion that is not on disk yet, and figures of the whole; ``cells`` numbers where it came by."""
 
     reports: list[_Report] = field(default_factory=list)
     shots: list[_Shot] = field(default_factory=list)
@@ -79,6 +81,7 @@ class _Record:
     largest_lag_s: float = 0.0
     halts: int = 0
     samples: list[Sample] = field(default_factory=list)
+    cells: dict[tuple[int, ...], int] = field(default_factory=dict)
 
 
 def drive_motion(plan: Plan, rig: Rig, writer: RunWriter, sink: EventSink) -> list[Sample]:
@@ -306,7 +309,8 @@ def _samples(record: _Record, plan: Plan, writer: RunWriter) -> list[tuple[Sampl
         if not shot.told_velocity.any() and float(np.abs(velocity).max()) < _STANDS:
             velocity = np.zeros_like(velocity)
             position = positions[k]
-        before = _sample(shot, position, velocity, before, plan, writer, len(out))
+        before = _sample(shot, position, velocity, before, plan, record, writer.sample_count + len(out))
+        before = replace(before, t_ns=before.t_ns + writer.clock_offset_ns)
         out.append((before, shot.image))
     return out
 
@@ -317,25 +321,26 @@ def _sample(
     velocity: FloatArray,
     before: Sample | None,
     plan: Plan,
-    writer: RunWriter,
-    number: int,
+    record: _Record,
+    index: int,
 ) -> Sample:
-    """A capture in motion is a place of its own; those of one wait share station and place."""
-    index = writer.sample_count + number
+    """Captures of one wait share station and place; those in motion share the place of their cell, and its errors."""
     is_moving = bool(velocity.any())
     waits = plan.waypoint_count + shot.place
     is_same_wait = before is not None and not is_moving and not before.is_moving and before.waypoint == waits
     wait = before if is_same_wait else None
     assert plan.motion is not None
+    size = np.where(plan.motion.limits.is_rotary, _CELL_RAD, _CELL_M)
+    cell = tuple(int(i) for i in np.round(position / size))
     places = plan.waypoint_count + 1 + max(plan.motion.numbers)
     return Sample(
         index=index,
         station=len(plan.stations) + index if wait is None else wait.station,
-        waypoint=places + index if is_moving else waits,
+        waypoint=places + record.cells.setdefault(cell, len(record.cells)) if is_moving else waits,
         repeat=0,
         shot=0 if wait is None else wait.shot + 1,
         role="judge",
-        t_ns=shot.t_ns + writer.clock_offset_ns,
+        t_ns=shot.t_ns,
         target=shot.told,
         position=position,
         outcome=shot.sight.outcome,

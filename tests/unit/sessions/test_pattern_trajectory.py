@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,8 +97,8 @@ def test_a_path_outside_or_through_a_keep_out_box_is_refused() -> None:
 
 @pytest.mark.parametrize("path", sorted((ROOT / "procedures").glob("svgs_*.toml")), ids=lambda path: path.stem)
 def test_a_shipped_maneuver_fits_its_bench(path: Path) -> None:
-    name = "bench_maneuvers.toml" if "--bench calib/bench_maneuvers.toml" in path.read_text() else "bench.toml"
-    bench = read_bench(ROOT / "calib" / name)
+    named = re.search(r"--bench (calib/\w+\.toml)", path.read_text())
+    bench = read_bench(ROOT / (named[1] if named else "calib/bench.toml"))
     found = read_procedure(path)
     made = plan(found, bench.envelope)
     beacons = [read_beacon(Path(file)) for file in (bench.beacon_file, *(other.file for other in bench.others))]
