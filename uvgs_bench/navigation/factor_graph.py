@@ -34,6 +34,8 @@ _POSE_ROWS = np.array([6, 7, 8, 0, 1, 2])
 _PHI = np.zeros((15, 15))
 # Doubt of the integration itself; GTSAM needs one.
 _INTEGRATION_VARIANCE = 1e-12
+# So long after a pause poses are believed without reserve, s.
+_BACK_S = 0.5
 # A pose this near to a node belongs to it.
 _SAME_NS = 1_000_000
 
@@ -85,6 +87,7 @@ class FixedLagGraph:
         self._last_reading: FloatArray | None = None
         self._beacon = world_from_beacon
         self._node, self._nodes = 0, [start.t_ns]
+        self._believed_ns = self._back_until_ns = start.t_ns
         # Of the last node, as the filter would have it, for the gate. Answers state the graph's own.
         self._x, self._P = packed(start), np.array(start.covariance)
         self._begin(start)
@@ -172,7 +175,11 @@ class FixedLagGraph:
             L, _ = innovation_covariance(P, noise, _POSE_ROWS, residual)
         correct(x.copy(), P, L, noise, _POSE_ROWS, residual)
         self._P = P
-        self._add_factor(index, measurement, own_noise, sensed, status == "reopened")
+        # Far off for a good reason: robust factors would not let single steps of the solver come back.
+        if status == "reopened" or s_from_ns(t_ns - self._believed_ns) > self.graph.pause_s:
+            self._back_until_ns = t_ns + ns_from_s(_BACK_S)
+        self._believed_ns = max(self._believed_ns, t_ns)
+        self._add_factor(index, measurement, own_noise, sensed, t_ns <= self._back_until_ns)
         self._solve()
         return record
 
@@ -311,15 +318,15 @@ class FixedLagGraph:
         return np.concatenate(parts)
 
     def _add_factor(
-        self, index: int, m: PoseMeasurement, own_noise: FloatArray, sensed: SensedPose | None, opens: bool
+        self, index: int, m: PoseMeasurement, own_noise: FloatArray, sensed: SensedPose | None, is_back: bool
     ) -> None:
         g = self._g
         x, _, _ = self._keys(index)
         if sensed is not None and self.graph.factors == "led" and sensed.led_px is not None:
-            self._new.add(self._led_factor(x, sensed))
+            self._new.add(self._led_factor(x, sensed, is_back))
             return
         noise = g.noiseModel.Gaussian.Covariance(body_covariance(m.world_from_body, own_noise))
-        if not opens:
+        if not is_back:
             noise = self._robust(noise)
         if sensed is not None and self.graph.learns_beacon:
             beacon_from_body = (self._body_from_camera @ sensed.camera_from_beacon).inverse()
@@ -331,7 +338,7 @@ class FixedLagGraph:
         m = self._g.noiseModel
         return m.Robust.Create(m.mEstimator.Huber.Create(self.graph.huber_k), noise)
 
-    def _led_factor(self, x: int, sensed: SensedPose) -> Any:
+    def _led_factor(self, x: int, sensed: SensedPose, is_back: bool) -> Any:
         g, lens, leds_m = self._g, self._lens, self._leds_m
         assert lens is not None
         assert leds_m is not None
@@ -352,7 +359,8 @@ class FixedLagGraph:
                     jacobians[1] = by_beacon
             return e
 
-        noise = self._robust(g.noiseModel.Gaussian.Covariance(covariance_px2))
+        gaussian = g.noiseModel.Gaussian.Covariance(covariance_px2)
+        noise = gaussian if is_back else self._robust(gaussian)
         return g.CustomFactor(noise, keys, error)
 
     def _solve(self) -> None:

@@ -80,7 +80,8 @@ def _plane(outcome: FusionOutcome, alone: FusedRun | None) -> Figure:
         axes.set_aspect("equal", adjustable="box")
         span = max(float(np.ptp(frame[:, a])), float(np.ptp(frame[:, b])), 0.02)
         for values, limit in ((frame[:, a], axes.set_xlim), (frame[:, b], axes.set_ylim)):
-            middle, half = 0.5 * float(values.min() + values.max()), 0.5 * float(np.ptp(values)) + 0.15 * span
+            half = max(0.5 * float(np.ptp(values)) + 0.15 * span, 0.3 * span)
+            middle = 0.5 * float(values.min() + values.max())
             limit(middle - half, middle + half)
         legend_above(axes, 3)
         svg = svg_of(figure, key, f"{alt}.")
