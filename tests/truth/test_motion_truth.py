@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from uvgs_bench.accuracy.clusters import Estimate
+from uvgs_bench.accuracy.observations import Role
 from uvgs_bench.accuracy.pose_error import ErrorTable
 from uvgs_bench.accuracy.statistics import summarise
 
@@ -28,10 +29,11 @@ def moving_table(count: int, memory: float, rng: np.random.Generator, stations: 
     is_moving = np.arange(n) >= 3 * stations
     place = np.where(is_moving, np.arange(n), np.arange(n) // 3)
     nothing = np.ones(n)
+    roles: tuple[Role, ...] = ("judge",) * n
     return ErrorTable(
         station=place,
         place=place,
-        role=("judge",) * n,
+        role=roles,
         t_ns=np.arange(n, dtype=np.int64) * STEP_NS,
         axis_position=np.zeros((n, 3)),
         is_solved=np.ones(n, dtype=np.bool_),

@@ -13,6 +13,7 @@ a model (1978); R. Kass and A. Raftery, Bayes factors (1995).
 from __future__ import annotations
 
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,8 @@ _MOST_SUSPECTS = 4
 _POWER = 0.95
 # Difference of the information criterion beyond which one cause is clearly better: odds of 150 to 1.
 _CLEARLY = 10.0
+# What a drift and a slip can be mistaken for when places are visited in order.
+_OF_TIME, _OF_AXES = ("drift", "slip"), ("axis_scale", "squareness")
 _UNTRIED = (
     SightLimit("latency", "late stamps: no capture was taken in motion", "ms", float("inf")),
     SightLimit("backlash", "play: no axis came to places from both sides", "mm", float("inf")),
@@ -203,6 +206,7 @@ class _Search:
             # What has more places to be found at finds one by chance more easily.
             worth = {k: gains[k] - self._weight(k) - 2.0 * float(np.log(self.possible[k].rivals)) for k in standing}
             best = max(standing, key=lambda k: worth[k])
+            best, mistaken = self._beside_axis_terms(basis, left, best, standing, worth[best])
             with_best = _basis(np.concatenate([basis, self.columns[best]], axis=1))
             cause = self.possible[best].cause
             rest = _off(with_best, left[:, None])[:, 0]
@@ -210,8 +214,13 @@ class _Search:
                 k
                 for k in sorted(standing, key=lambda k: -worth[k])
                 if self.possible[k].cause != cause
-                and gains[k] - self._weight(k) > gains[best] - self._weight(best) - _CLEARLY
-                and len(open_ones) * self._chance(self._gain(with_best, rest, k), k) > _ALPHA
+                and (
+                    k in mistaken
+                    or (
+                        gains[k] - self._weight(k) > gains[best] - self._weight(best) - _CLEARLY
+                        and len(open_ones) * self._chance(self._gain(with_best, rest, k), k) > _ALPHA
+                    )
+                )
             ]
             chosen.append(best)
             # Of each other cause the likeliest.
@@ -221,6 +230,34 @@ class _Search:
             # Another instant, LED or axis of the same cause may still be named, but not one the first has used up.
             open_ones = [k for k in open_ones if k != best and not (cause == "slip" == self.possible[k].cause)]
         return self._described(chosen, found, aside)
+
+    def _beside_axis_terms(
+        self, basis: FloatArray, left: FloatArray, best: int, standing: list[int], worth: float
+    ) -> tuple[int, list[int]]:
+        """The best cause once several axis terms together may be it, and what it cannot be told from.
+
+        Where places are visited in order along an axis, time is travel: a drift in three directions then takes the
+        place of that axis' scale and squareness, none of which alone explains as much.
+        """
+        terms = [k for k, s in enumerate(self.possible) if s.cause in _OF_AXES]
+        if self.possible[best].cause not in _OF_TIME or not terms:
+            return best, []
+        taken: list[int] = []
+        total, together = 0.0, -np.inf
+        while terms and len(taken) < self.columns[best].shape[1]:
+            gains = {k: self._gain(basis, left, k) for k in terms}
+            k = max(terms, key=lambda k: gains[k])
+            choices = comb(len(taken) + len(terms), len(taken) + 1)
+            taken, total = [*taken, k], total + gains[k]
+            terms.remove(k)
+            basis = _basis(np.concatenate([basis, self.columns[k]], axis=1))
+            left = _off(basis, left[:, None])[:, 0]
+            weight = sum(self._weight(k) for k in taken) + 2.0 * float(np.log(choices))
+            together = max(together, total - weight)
+        first = taken[0]
+        if first not in standing or together <= worth - _CLEARLY:
+            return best, []
+        return (first, [best]) if together > worth else (best, [first])
 
     def limits(self) -> tuple[SightLimit, ...]:
         """How large each cause of a single size must be to stand out on an otherwise clean bench."""
