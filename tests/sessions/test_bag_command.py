@@ -275,10 +275,10 @@ def test_astrobee_landmarks_are_judged_as_its_localizer_does(tmp_path, capfd):
 # --- convert -----------------------------------------------------------------------------------------------------
 
 TARGETS = [
-    ("a.bag", ()),
     ("a.bag", ("--compression", "bz2")),
-    ("a.bag", ("--compression", "lz4")),
+    ("a.bag", ()),
     ("a.mcap", ()),
+    ("a.bag", ("--compression", "lz4")),
     ("a.mcap", ("--compression", "zstd")),
     ("a.db3", ()),
     ("folder", ("--compression", "messages")),
@@ -307,7 +307,8 @@ def contents(path: Path) -> list[tuple[object, ...]]:
 def test_converting_loses_nothing(tmp_path, capfd, kind):
     source = write_bag(tmp_path / "source", kind, healthy(3))
     expected = contents(source)
-    for i, (name, words) in enumerate(TARGETS):
+    # Every target once from one of the two.
+    for i, (name, words) in enumerate(TARGETS[kind == "db3" :: 2]):
         target = tmp_path / str(i) / name
         assert uvgs("bag", "convert", source, "--out", target, "--json", "--quiet", *words) == 0
         said = json.loads(capfd.readouterr().out)
@@ -416,16 +417,16 @@ def test_extracted_pictures_give_the_same_poses(tmp_path, capfd):
     write_beacon(tmp_path / "beacon.toml", spots.beacon())
     rng = np.random.default_rng(3)
     notes = []
-    for t_ns in stamps(3):
+    for t_ns in stamps(2):
         px = spots.lens().project(spots.random_pose(rng, cone_deg=20.0).apply(spots.beacon().positions_m))
         notes.append(image_note(spots.draw(px, rng), t_ns))
     # As a colour camera sends it: its pattern makes the poses less sure, in the bag and in the folder.
-    mosaic = image_note(notes[2].fields["data"].reshape(960, 1280), stamps(4)[3])
+    mosaic = image_note(notes[1].fields["data"].reshape(960, 1280), stamps(3)[2])
     mosaic.fields["encoding"] = "bayer_rggb8"
     path = write_bag(tmp_path, "mcap", [*notes, mosaic])
     folder = tmp_path / "pictures"
     assert uvgs("bag", "extract", path, "--out", folder, "--json", "--quiet") == 0
-    assert json.loads(capfd.readouterr().out)["pictures"] == 4
+    assert json.loads(capfd.readouterr().out)["pictures"] == 3
     lines = []
     for source in (f"bag:{path}", f"images:{folder}"):
         out = tmp_path / "poses.csv"

@@ -25,7 +25,7 @@ def bench(tmp_path_factory):
     rng = np.random.default_rng(11)
     (folder / "pictures").mkdir()
     images, stamps = [], []
-    for i in range(3):
+    for i in range(2):
         pose = spots.random_pose(rng, cone_deg=20.0)
         image = spots.draw(spots.lens().project(pose.apply(spots.beacon().positions_m)), rng)
         cv2.imwrite(str(folder / "pictures" / f"{i}.png"), image)
@@ -69,9 +69,7 @@ def test_every_container_gives_the_same_poses(bench, expected, tmp_path, kind):
 def test_bags_one_after_the_other_are_one_stream(bench, expected, tmp_path):
     folder, images, stamps = bench
     notes = [image_note(*pair) for pair in zip(images, stamps, strict=True)]
-    parts = [
-        write_bag(tmp_path / kind, kind, [note]) for kind, note in zip(("db3", "ros1", "mcap"), notes, strict=True)
-    ]
+    parts = [write_bag(tmp_path / kind, kind, [note]) for kind, note in zip(("db3", "mcap"), notes, strict=True)]
     assert poses(f"bag:{','.join(map(str, parts))}", folder, tmp_path / "poses.csv") == expected
 
 
@@ -84,7 +82,7 @@ def test_the_path_of_a_bag_is_enough_and_its_lens_is_taken(bench, expected, tmp_
     assert uvgs("run", path, "--beacon", folder / "beacon.toml", "--out", out) == 0
     assert "the lens is that of /cam/camera_info; how sure it is, is not known" in capfd.readouterr().err
     columns = [line.split(",") for line in out.read_text().splitlines()]
-    assert [line[3] for line in columns[1:]] == ["ok"] * 3
+    assert [line[3] for line in columns[1:]] == ["ok"] * 2
     # The calibration has the same numbers, and here no more doubt.
     assert spots.calibration().covariance is None
     assert [",".join(line[:1] + line[2:]) for line in columns] == expected
@@ -99,7 +97,7 @@ def test_a_cut_bag_is_solved_as_far_as_it_goes(bench, expected, tmp_path, capfd)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) * 3 // 4])
     lines = poses(f"bag:{path}", folder, tmp_path / "poses.csv")
-    assert 2 <= len(lines) <= 3
+    assert len(lines) == 2
     assert lines == expected[: len(lines)]
     said = capfd.readouterr().err
     assert "read record by record" in said

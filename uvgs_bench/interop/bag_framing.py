@@ -15,8 +15,8 @@ from typing import Any, BinaryIO
 
 from uvgs_bench.errors import FormatError
 
-CUT = "ends in the middle of a record"
-"""What is said where bytes are missing, as against bytes that make no sense."""
+CUT, CUT_CHUNK = "ends in the middle of a record", "ends in the middle of a chunk"
+"""What is said where a file ends too early, as against bytes that make no sense."""
 
 Report = Callable[[str, int], None]
 """Takes what is wrong and at which byte."""
@@ -106,9 +106,19 @@ def zstd_module() -> Any:
 
 def take(file: BinaryIO, length: int, size: int) -> bytes:
     """So many bytes of a file of that size. Raises FormatError when it ends before them."""
-    if file.tell() + length > size:
-        raise FormatError(CUT)
+    check_room(file, length, size)
     return file.read(length)
+
+
+def check_room(file: BinaryIO, length: int, size: int) -> None:
+    """Raises FormatError when a file of that size ends before so many bytes more; what nobody writes is no length."""
+    if file.tell() + length > size:
+        raise FormatError(CUT if length <= _MOST_CHUNK else "holds no record")
+
+
+def in_order(found: list[Record]) -> list[Record]:
+    """Messages of a chunk by their times."""
+    return sorted(found, key=lambda record: record[1])
 
 
 def trusted(found: list[Record], error: Exception, *, is_cut: bool = True) -> list[Record]:
@@ -122,7 +132,7 @@ def trusted(found: list[Record], error: Exception, *, is_cut: bool = True) -> li
     Returns:
         All of them where the bytes just end; else without the last, whose length, and so its content, may be wrong.
     """
-    return found if is_cut and str(error) == CUT else found[:-1]
+    return found if is_cut and str(error) in (CUT, CUT_CHUNK) else found[:-1]
 
 
 def take_chunk(file: BinaryIO, length: int, size: int) -> tuple[bytes, bool]:

@@ -23,10 +23,12 @@ from typing import BinaryIO
 
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop.bag_framing import (
+    CUT_CHUNK,
     BagChannel,
     Record,
     Report,
     full_msgtype,
+    in_order,
     skip_to,
     take,
     take_chunk,
@@ -77,26 +79,26 @@ def scan_ros1(path: Path, report: Report) -> Iterator[Record]:
                 op = fields.get(b"op", b"")
                 if op != b"\x05":
                     found = list(_ros1_record(op, fields, take(file, length, size), channels, start, report))
-                    yield from held
+                    yield from in_order(held)
                     held = found
                     continue
-                yield from held
+                yield from in_order(held)
                 held = []
                 if length == 0 and fields.get(b"compression") == b"none":
                     # The chunk a recorder was writing when it stopped: its length was never filled in.
                     continue
                 resume = start + 1
                 payload, is_whole = take_chunk(file, length or size - file.tell(), size)
-                yield from _ros1_chunk(fields, payload, is_whole and length > 0, channels, start, report)
+                held = _ros1_chunk(fields, payload, is_whole and length > 0, channels, start, report)
                 if not is_whole:
-                    raise FormatError("ends in the middle of a chunk")
+                    raise FormatError(CUT_CHUNK)
             except (FormatError, struct.error) as error:
-                yield from trusted(held, error)
+                yield from in_order(trusted(held, error))
                 held = []
                 report(str(error) or "makes no sense", start)
                 if not skip_to(file, resume, _ROS1_CHUNK, size):
                     return
-        yield from held
+        yield from in_order(held)
 
 
 def scan_sqlite(path: Path, report: Report) -> Iterator[Record]:
@@ -317,12 +319,12 @@ def _ros1_chunk(
     channels: dict[int, BagChannel],
     offset: int,
     report: Report,
-) -> Iterator[Record]:
+) -> list[Record]:
     kind = fields.get(b"compression", b"").decode("ascii", "replace")
     data, is_done = (payload, is_whole) if kind == "none" else unpacked(kind, payload)
     if is_whole and not is_done:
         report(f"a chunk cannot be unpacked ({kind})", offset)
-        return
+        return []
     inner = io.BytesIO(data)
     found: list[Record] = []
     try:
@@ -335,4 +337,4 @@ def _ros1_chunk(
         found = trusted(found, error, is_cut=not is_whole)
         if is_whole:
             report(f"a chunk is broken: {error}", offset)
-    yield from sorted(found, key=lambda record: record[1])
+    return found

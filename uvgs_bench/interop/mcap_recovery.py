@@ -17,10 +17,13 @@ from typing import BinaryIO
 from uvgs_bench.errors import FormatError
 from uvgs_bench.interop.bag_framing import (
     CUT,
+    CUT_CHUNK,
     BagChannel,
     Record,
     Report,
+    check_room,
     full_msgtype,
+    in_order,
     skip_to,
     take,
     take_chunk,
@@ -68,30 +71,29 @@ def scan_mcap(path: Path, report: Report) -> Iterator[Record]:
                 if op in (_FOOTER, _DATA_END):
                     is_closed = True
                 elif op == _CHUNK:
-                    yield from held
+                    yield from in_order(held)
                     held = []
                     resume = start + 1
                     payload, is_whole = take_chunk(file, length, size)
-                    yield from _mcap_chunk(payload, is_whole, tables, start)
+                    held = _mcap_chunk(payload, is_whole, tables, start)
                     if not is_whole:
-                        raise FormatError("ends in the middle of a chunk")
+                        raise FormatError(CUT_CHUNK)
                 elif op in (_SCHEMA, _CHANNEL, _MESSAGE):
                     found = list(_mcap_record(op, take(file, length, size), tables, start))
-                    yield from held
+                    yield from in_order(held)
                     held = found
                 elif 0 < op < _FIRST_PRIVATE or op >= 0x80:
-                    if file.tell() + length > size:
-                        raise FormatError(CUT)
+                    check_room(file, length, size)
                     file.seek(length, io.SEEK_CUR)
                 else:
                     raise FormatError("holds no record")
             except (FormatError, struct.error, UnicodeDecodeError) as error:
-                yield from trusted(held, error)
+                yield from in_order(trusted(held, error))
                 held = []
                 report(str(error) or "makes no sense", start)
                 if not skip_to(file, resume, _MCAP_CHUNK, size):
                     return
-        yield from held
+        yield from in_order(held)
         if not is_closed:
             report("ends without its closing record", size)
 
@@ -168,7 +170,7 @@ def _mcap_record(op: int, data: bytes | memoryview, tables: _McapTables, offset:
             tables.channels[number] = None
 
 
-def _mcap_chunk(payload: bytes, is_whole: bool, tables: _McapTables, offset: int) -> Iterator[Record]:
+def _mcap_chunk(payload: bytes, is_whole: bool, tables: _McapTables, offset: int) -> list[Record]:
     _, _, unpacked_size, checksum = struct.unpack_from("<QQQI", payload)
     (kind_bytes,), at = _strings(payload, 28, 1)
     (length,) = struct.unpack_from("<Q", payload, at)
@@ -180,7 +182,7 @@ def _mcap_chunk(payload: bytes, is_whole: bool, tables: _McapTables, offset: int
     is_good = is_done and len(data) == unpacked_size and (checksum == 0 or checksum == crc32(data))
     if is_whole and not is_good:
         tables.report(f"a chunk fails its check ({kind or 'not compressed'})", offset)
-        return
+        return []
     found: list[Record] = []
     at = 0
     try:
@@ -199,4 +201,4 @@ def _mcap_chunk(payload: bytes, is_whole: bool, tables: _McapTables, offset: int
         found = trusted(found, error, is_cut=not is_whole)
         if is_whole:
             tables.report(f"a chunk is broken: {error}", offset)
-    yield from sorted(found, key=lambda record: record[1])
+    return found
