@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,11 +11,13 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.synthetic_run import LIMIT_VERDICTS, synthetic_judgement, synthetic_run, write_run
+from uvgs_bench import cli
 from uvgs_bench.report import build_document
 
 pytestmark = pytest.mark.opencv
 
 MB = 1_000_000
+ONE_CORE = ("demo", "gantry_sweep", "register", "report", "compare", "follow", "fuse", "plan", "study", "beacon_pair")
 MOST = {"html": 8 * MB, "pdf": 10 * MB}
 """What was promised for 1000 stations."""
 
@@ -48,7 +51,8 @@ def test_a_thousand_stations_are_small_and_the_same_twice(tmp_path: Path) -> Non
 def test_the_command_keeps_its_sums_on_one_core() -> None:
     script = (
         "import os, sys\n"
-        "import uvgs_bench.cli.report, uvgs_bench.cli.compare\n"
+        "from uvgs_bench.cli.app import build_app\n"
+        "build_app()\n"
         "assert 'numpy' not in sys.modules\n"
         "from uvgs_bench.cli.one_core import compute_on_one_core\n"
         "os.environ['MKL_NUM_THREADS'] = '3'\n"
@@ -59,3 +63,11 @@ def test_the_command_keeps_its_sums_on_one_core() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=variables, check=True)
     # What a user chose stays.
     assert done.stdout.split() == ["1", "3"]
+
+
+def test_every_command_that_judges_computes_on_one_core() -> None:
+    commands = Path(cli.__file__).parent
+    for name in ONE_CORE:
+        text = (commands / f"{name}.py").read_text(encoding="utf-8")
+        # First of all, since it is too late once an import has loaded numpy.
+        assert re.search(r'\n    """[^"]+"""\n    compute_on_one_core\(\)\n', text), name

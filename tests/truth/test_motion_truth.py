@@ -29,11 +29,11 @@ def moving_table(count: int, memory: float, rng: np.random.Generator, stations: 
     is_moving = np.arange(n) >= 3 * stations
     place = np.where(is_moving, np.arange(n), np.arange(n) // 3)
     nothing = np.ones(n)
-    roles: tuple[Role, ...] = ("judge",) * n
+    judge: Role = "judge"
     return ErrorTable(
         station=place,
         place=place,
-        role=roles,
+        role=(judge,) * n,
         t_ns=np.arange(n, dtype=np.int64) * STEP_NS,
         axis_position=np.zeros((n, 3)),
         is_solved=np.ones(n, dtype=np.bool_),

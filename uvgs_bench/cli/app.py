@@ -7,7 +7,9 @@ Command files import heavy packages inside their functions, so that ``uvgs --hel
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -71,10 +73,18 @@ def build_app() -> typer.Typer:
         module_name, attribute = target.split(":")
         command = getattr(importlib.import_module(module_name), attribute)
         if isinstance(command, typer.Typer):
+            for part in command.registered_commands:
+                part.help = _flowing(part.help or inspect.getdoc(part.callback))
             app.add_typer(command, name=name)
         else:
-            app.command(name, context_settings=CONTEXTS.get(name))(command)
+            help_text = _flowing(inspect.getdoc(command))
+            app.command(name, help=help_text, context_settings=CONTEXTS.get(name))(command)
     return app
+
+
+def _flowing(text: str | None) -> str | None:
+    """Help whose lines end where sentences do: pages keep the breaks of later paragraphs, whatever their width."""
+    return None if text is None else re.sub(r"(?<![.:;?!\n])\n(?!\n)", " ", text)
 
 
 def _print_version(wanted: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Json, Seed
 
 
@@ -20,6 +21,7 @@ def pair(
     as_json: Json = False,
 ) -> None:
     """Judge a sensor by two beacons held rigidly: whatever varies between them is error, also in motion."""
+    compute_on_one_core()
     from dataclasses import asdict
 
     from uvgs_bench.cli.console import emit_json, out

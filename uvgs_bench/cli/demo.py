@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, Json, Quiet, Seed
 from uvgs_bench.errors import ExitCode
 
@@ -27,6 +28,7 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Calibrate, sweep, solve, register, judge and report on the simulated bench; no hardware needed."""
+    compute_on_one_core()
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.report import write_reports
     from uvgs_bench.sessions.demo import demonstrate

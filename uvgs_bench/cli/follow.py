@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Json, Quiet, Seed
 from uvgs_bench.errors import ExitCode
 
@@ -45,6 +46,7 @@ def follow(
 
     Ends with 1 when the station is lost or the steady error exceeds the tolerance, 3 when it cannot be told.
     """
+    compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.errors import ConfigError
     from uvgs_bench.sessions.follow import follow as lead

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, Json, Quiet, Seed
 from uvgs_bench.errors import ConfigError, ExitCode
 
@@ -70,6 +71,7 @@ def fuse(
     quiet: Quiet = False,
 ) -> None:
     """Fuse, judge, and say what does not fit. Ends with 3 when clocks, mounting, readings or poses do not agree."""
+    compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.interop.fused_states import check_fused_path, write_fused_states
     from uvgs_bench.sessions.fuse import FusionOptions

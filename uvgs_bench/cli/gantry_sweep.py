@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import DEFAULT_BENCH, Json, Quiet
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def gantry_sweep(
     Ctrl-C stops the motion first, closes the run properly and says how to resume it; once more while it stops is a hard
     stop that loses the position. Ctrl-Z pauses at the next station until fg.
     """
+    compute_on_one_core()
     from uvgs_bench.cli.console import progress_sink
     from uvgs_bench.errors import ConfigError, UnreadableDocument
     from uvgs_bench.sessions.bench_setup import read_setup, read_setup_of, resume, sweep

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import DEFAULT_BENCH, BenchFile, Force, Json, Quiet, Seed
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def plan(
     is shuffled, and every tenth station returns to the first place, so that a drift shows. Ends with 3 when the
     interval cannot be had.
     """
+    compute_on_one_core()
     import math
 
     from uvgs_bench.cli.console import emit_json, progress_sink

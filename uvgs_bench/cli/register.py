@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, IntervalSeed, Json
 from uvgs_bench.cli.registering import BoardFile, BoardRun, LinkFile, Terms, judge_registered
 from uvgs_bench.errors import RegistrationError
@@ -27,6 +28,7 @@ def register(
     as_json: Json = False,
 ) -> None:
     """Register camera, gantry and beacon of a run; say what is seen, what is not, and what errors remain."""
+    compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, print_path
     from uvgs_bench.store.registrations import registration_tables, write_registration
     from uvgs_bench.store.run import read_run

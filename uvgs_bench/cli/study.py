@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from uvgs_bench.cli.one_core import compute_on_one_core
 from uvgs_bench.cli.options import Force, Json, Quiet, Seed
 from uvgs_bench.errors import ExitCode
 
@@ -39,6 +40,7 @@ def study(
     Ctrl-C keeps what is done; --resume goes on, also with more benches.
     Ends with 1 when a target is missed, 3 when the benches are too few to tell.
     """
+    compute_on_one_core()
     from uvgs_bench.cli.console import emit_json, progress_sink
     from uvgs_bench.errors import ConfigError
     from uvgs_bench.sessions.study import run_study
