@@ -235,3 +235,18 @@ def test_smoothing_looks_ahead(folder, tmp_path, capsys):
             sigmas.append(np.mean([float(row["sigma_x_m"]) for row in csv.DictReader(text)]))
     capsys.readouterr()
     assert sigmas[1] < 0.9 * sigmas[0]
+
+
+@pytest.mark.parametrize("rest_s", [0.8, 0.0])
+def test_fusion_does_not_begin_at_a_false_pose(source, rest_s):
+    from uvgs_bench.sessions.fuse import first_state
+
+    resting = [k for k, pose in enumerate(source.sensed) if pose.t_ns <= 800_000_000]
+    false = resting[-1] if rest_s else 0
+    poses = list(source.sensed)
+    poses[false] = replace(
+        poses[false], camera_from_beacon=poses[false].camera_from_beacon.perturbed((0.0, 0.0, 0.0, 0.2, 0.2, 0.0))
+    )
+    start = first_state(replace(source, sensed=tuple(poses), rest_s=rest_s), ("uvgs",))
+    # Poses of 1 mrad seen from 1.1 m.
+    assert np.linalg.norm(start.world_from_body.t_m - state_at(start.t_ns).pose.t_m) < 0.01

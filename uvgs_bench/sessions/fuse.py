@@ -26,6 +26,8 @@ from uvgs_bench.navigation.states import NavigationState, PoseMeasurement
 from uvgs_bench.units import NS_PER_S, NS_PER_US, ns_from_s
 
 _OUTPUT_HZ = 20.0
+# Of so many poses at the beginning one far from the median of all, m, is no place to begin.
+_FIRST_POSES, _STRAY_M = 7, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +97,8 @@ def first_state(source: FusionInput, sources: tuple[str, ...]) -> NavigationStat
         )
     begin_ns = int(source.imu.t_ns[0])
     end_ns = begin_ns + ns_from_s(source.rest_s)
-    before = [m for m in known if m.t_ns <= end_ns] or known[:1]
-    first = before[-1]
+    resting = [m for m in known if m.t_ns <= end_ns]
+    first = _unstrayed(resting)[-1] if resting else _unstrayed(known[:_FIRST_POSES])[0]
     if source.rest_s <= 0.0 or first.t_ns > end_ns:
         return start_state(first)
     sigma_rad = float(np.sqrt(np.diag(first.covariance)[:3].max()))
@@ -114,6 +116,14 @@ def first_state(source: FusionInput, sources: tuple[str, ...]) -> NavigationStat
         acceleration_bias_mps2=bias.acceleration_bias_mps2,
         rate_bias_radps=bias.rate_bias_radps,
     )
+
+
+def _unstrayed(poses: list[PoseMeasurement]) -> list[PoseMeasurement]:
+    """Poses without those that stand far from the median of all: it must not begin at a false one."""
+    places = np.array([pose.world_from_body.t_m for pose in poses])
+    off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+    limit = max(_STRAY_M, 5.0 * float(np.median(off)))
+    return [pose for pose, far in zip(poses, off > limit, strict=True) if not far]
 
 
 def output_instants(source: FusionInput, start_ns: int) -> NDArray[np.int64]:
