@@ -17,8 +17,9 @@ import numpy as np
 from uvgs_bench.geometry import FloatArray
 from uvgs_bench.navigation.pose_filter import line_weights
 
-# How finely the first loss of stability is looked for before it is bisected, in periods, and how far, s.
-_SCAN_PERIODS = 0.05
+# How finely the first loss of stability is looked for before it is bisected: in periods, or in parts of the loop's own
+# time where that is longer; and how far, s.
+_SCAN_PERIODS, _SCAN_RAD = 0.25, 0.02
 _LONGEST_S = 20.0
 _DELAY_TOLERANCE_S = 1e-6
 _FREQUENCIES = 4000
@@ -115,7 +116,7 @@ def largest_latency(loop: Loop) -> float:
     Returns:
         The latency, s.
     """
-    step = _SCAN_PERIODS * loop.period_s
+    step = max(_SCAN_PERIODS * loop.period_s, _SCAN_RAD / loop.frequency_radps)
     low = 0.0
     if spectral_radius(loop, low) >= 1.0:
         return 0.0
