@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from uvgs_bench.navigation.fusion_outcome import FusedRun, FusionOutcome
 
 _HOW = "How"
+# Columns of a terminal that all figures fit in.
+_WIDE = 76
 
 
 def fuse(
@@ -201,9 +203,11 @@ def _print(outcome: FusionOutcome, files: list[str], reports: dict[str, str]) ->
     has_truth = outcome.source.truth is not None
     title = f"{outcome.source.name}: {outcome.main.result.method}"
     table = Table(title=escape(title), title_justify="left", box=None, pad_edge=False)
-    table.add_column("way", overflow="fold")
+    table.add_column("way", overflow="fold", min_width=15)
     headings = ("RMS mm", "worst mm", "RMS deg") if has_truth else ()
-    for heading in (*headings, "σ mm", "NIS", "used", "refused", "µs"):
+    is_wide = out.width >= _WIDE
+    rest = ("σ mm", "NIS", "used", "refused", "µs") if is_wide else ("NIS", "refused")
+    for heading in (*headings, *rest):
         table.add_column(heading, justify="right", no_wrap=True)
     for run in outcome.runs:
         s = run.score
@@ -215,9 +219,8 @@ def _print(outcome: FusionOutcome, files: list[str], reports: dict[str, str]) ->
         refused = sum(c.get("refused", 0) for c in s.counts.values())
         spent = float(np.median(run.result.update_us)) if len(run.result.update_us) else float("nan")
         mean_nis = float(nis.mean()) if len(nis) else float("nan")
-        table.add_row(
-            escape(run.name), *cells, cell(sigma, 2), cell(mean_nis, 1), str(used), str(refused), cell(spent, 0)
-        )
+        tail = (cell(sigma, 2), cell(mean_nis, 1), str(used), str(refused), cell(spent, 0))
+        table.add_row(escape(run.name), *cells, *(tail if is_wide else (tail[1], tail[3])))
     out.print(table)
     raw = outcome.raw
     if has_truth:
@@ -231,7 +234,8 @@ def _print(outcome: FusionOutcome, files: list[str], reports: dict[str, str]) ->
         worst = f"worst error {mm_from_m(p.worst_m):.1f} mm, " if has_truth else ""
         out.print(
             f"pause of {p.pause.length_s:.1f} s: {worst}σ at its end {mm_from_m(p.sigma_m):.1f} mm, jump after it "
-            f"{p.jump_sigma:.1f} σ"
+            f"{cell(p.jump_sigma, 1)} σ",
+            soft_wrap=True,
         )
     if outcome.false_ns:
         out.print(f"{len(outcome.false_ns)} false poses, {outcome.main.score.false_believed} of them believed")
