@@ -49,5 +49,8 @@ def shown_gantry(desk: JogDesk) -> GantryShown:
     from uvgs_bench.view.live_state import GantryShown
 
     state = desk.state
-    activity = "moving" if desk.is_moving else "unknown" if state is None else state.activity
-    return GantryShown(activity, state is not None and state.is_homed, desk.positions, desk.said)
+    is_homed = state is not None and state.is_homed
+    if desk.is_moving:
+        # What was true before the motion is true no more.
+        return GantryShown("moving", is_homed, tuple((name, "moving") for name, _ in desk.axes), desk.said)
+    return GantryShown("unknown" if state is None else state.activity, is_homed, desk.positions, desk.said)

@@ -140,6 +140,9 @@ class JogDesk:
         index = next((i for i, item in enumerate(self._axes) if item.name == axis), None)
         if index is None:
             return f"there is no axis {axis}"
+        state = self._state
+        if state is None or not state.is_homed:
+            return "home first: the position is unknown"
         chosen = self._axes[index]
         is_linear = chosen.kind == "linear"
         most, fastest = (MOST_M, FASTEST_MPS) if is_linear else (MOST_RAD, FASTEST_RAD_S)
@@ -187,7 +190,8 @@ class JogDesk:
                 self._serve(gantry)
         except UvgsError as error:
             self._errors.append(error)
-            self._said, self._is_lost = str(error), True
+            with self._changed:
+                self._said, self._is_lost, self._is_moving = str(error), True, False
         finally:
             self._opened.set()
 
@@ -204,9 +208,12 @@ class JogDesk:
                     self._said = order[0]
             if order is not None:
                 said = self._carried_out(gantry, *order)
+                # First where it is, then that it rests: nobody may take the old position for the new one.
+                self._state = gantry.state()
                 with self._changed:
                     self._is_moving, self._said = False, said
-            self._state = gantry.state()
+            else:
+                self._state = gantry.state()
 
     def _carried_out(self, gantry: Gantry, words: str, order: _Order) -> str:
         """Do it, or stop it; what came of it in one line. Raises UvgsError when the gantry does not stop or is lost."""
@@ -219,6 +226,5 @@ class JogDesk:
         except EnvelopeError as error:
             return f"refused: {error}"
         except UvgsError as error:
-            self._state = gantry.state()
             return f"{words}: {error}"
         return f"{words}: done"

@@ -51,7 +51,8 @@ class FoxgloveServer:
         except ImportError:
             raise ConfigError("needs the package foxglove-sdk: pip install 'uvgs-bench[live]'", "--foxglove") from None
         self._broadcast = broadcast
-        context = foxglove.Context()
+        # Kept: what belongs to a context that is gone is sent to nobody.
+        context = self._context = foxglove.Context()
         try:
             self._server = foxglove.start_server(name="uvgs", host=_HOST, port=port, context=context)
         except (RuntimeError, OSError) as error:

@@ -39,7 +39,7 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-_MOST_STREAMS = 12
+_MOST_STREAMS = 32
 _MOST_BODY = 4096
 _SILENCE_S = 1.0
 _SLOW_S = 10.0
@@ -174,26 +174,25 @@ class PageRequests(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """An order of the page."""
-        # What is left of a refused body would be read as the next request.
-        self.close_connection = True
-        host = self.headers.get("Host", "")
+        length = self.headers.get("Content-Length", "")
+        if not length.isascii() or not length.isdigit() or int(length) > _MOST_BODY:
+            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {_MOST_BODY} bytes")
+        # Before anything is refused: a body that nobody reads resets the connection, and the answer is lost.
+        text = self.rfile.read(int(length))
         if not self._is_from_here():
             return self._refuse(HTTPStatus.FORBIDDEN, "this page is for 127.0.0.1 and localhost only")
-        if self.headers.get("Origin") != f"http://{host}":
+        if self.headers.get("Origin") != f"http://{self.headers.get('Host', '')}":
             return self._refuse(HTTPStatus.FORBIDDEN, "orders are taken from the page itself only")
         key = self.headers.get("X-Uvgs-Key", "")
         if not hmac.compare_digest(key.encode(), self._desk.key.encode()):
             return self._refuse(HTTPStatus.FORBIDDEN, "open the whole address that uvgs run printed to change anything")
         if self.headers.get_content_type() != "application/json":
             return self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected JSON")
-        length = self.headers.get("Content-Length", "")
-        if not length.isascii() or not length.isdigit() or int(length) > _MOST_BODY:
-            return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {_MOST_BODY} bytes")
         path = urlsplit(self.path).path
         if path in ("/home", "/jog", "/stop") and self._desk.motion is None:
             return self._refuse(HTTPStatus.FORBIDDEN, "the gantry may be moved only with --allow-motion")
         try:
-            body = json.loads(self.rfile.read(int(length)) or b"{}")
+            body = json.loads(text or b"{}")
             if not isinstance(body, dict):
                 raise ValueError("expected an object")
             answer = self._desk.order(path, body)
