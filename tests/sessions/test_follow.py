@@ -100,6 +100,12 @@ def test_a_loop_that_is_unstable_by_itself_is_refused(bench: Path, tmp_path: Pat
         led(bench, tmp_path, scenario=scenario)
 
 
+def test_too_much_latency_is_a_failure_however_the_errors_look(bench: Path, tmp_path: Path):
+    result = led(bench, tmp_path, "latency=400ms", replace(LINE, leader=LeaderPlan((FollowPlace(),)), tail_s=1.0))
+    assert (result.verdict, result.headline) == ("fail", "at the latency it had, the loop is unstable")
+    assert build_follow_document(result.run).banners[0].level == "danger"
+
+
 def test_a_torn_record_is_read_and_a_broken_one_refused(bench: Path, tmp_path: Path):
     result = led(bench, tmp_path, scenario=replace(LINE, leader=LeaderPlan((FollowPlace(),)), tail_s=0.5))
     journal = result.run.path / JOURNAL

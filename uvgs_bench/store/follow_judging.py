@@ -68,6 +68,9 @@ def verdict_of(run: FollowRun, quality: FollowQuality) -> tuple[str, str]:
     limit_m = m_from_mm(_figure(run, "tolerance_mm", 10.0))
     if run.ending == "aborted":
         return "fail", f"gave up: {run.reason}"
+    margins = run.manifest.facts.get("margins")
+    if isinstance(margins, dict) and float(margins.get("spectral_radius", 0.0)) >= 1.0:
+        return "fail", "at the latency it had, the loop is unstable"
     if quality.acquired_s is None:
         return "fail", "the station was never reached within tolerance"
     if run.ending != "completed":

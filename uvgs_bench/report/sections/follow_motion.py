@@ -28,7 +28,9 @@ def build(evidence: FollowEvidence) -> Section | None:
         evidence, "follow-euler", "deg", _ANGLES, evidence.wanted_deg, evidence.true_deg, evidence.sensed_deg,
         "Angles of the follower's body over time, intrinsic Z-Y-X: commanded, true, sensed.",
     )  # fmt: skip
-    return Section("motion", "Motion", (places, angles, _paths(evidence)))
+    # A gantry follows by its linear axes: there are no angles to show.
+    has_angles = evidence.run.manifest.plant != "gantry"
+    return Section("motion", "Motion", (places, *((angles,) * has_angles), _paths(evidence)))
 
 
 def _over_time(
