@@ -25,7 +25,8 @@ def test_every_command_named_in_the_readme_exists():
 
 @pytest.mark.timeout(600)
 def test_the_tour_runs_as_written(tmp_path):
-    tour = next(block for block in BLOCKS if "uvgs init" in block)
+    first, second = (next(block for block in BLOCKS if word in block) for word in ("uvgs init", "uvgs fuse"))
+    tour = first + second
     environment = os.environ | {
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),
@@ -36,6 +37,7 @@ def test_the_tour_runs_as_written(tmp_path):
     assert done.returncode == 0, done.stdout[-1500:] + done.stderr[-3000:]
     run = next((tmp_path / "my_bench" / "reports").glob("*_demo_grid"))
     assert {"report.html", "report.pdf", "report.json"} <= {path.name for path in run.iterdir()}
+    assert (tmp_path / "my_bench" / "fused.tum").read_text().count("\n") > 100
     lines = (tmp_path / "my_bench" / "poses.csv").read_text().splitlines()
     assert len(lines) == 91  # a header and one line for each of 30 x 3 captures
 
