@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 
 from tests.helpers.synthetic_run import LIMIT_VERDICTS, synthetic_judgement, synthetic_run, write_run
 from uvgs_bench import cli
+from uvgs_bench.cli.one_core import no_garbage_sought
 from uvgs_bench.report import build_document
 
 pytestmark = pytest.mark.opencv
@@ -71,3 +73,13 @@ def test_every_command_that_judges_computes_on_one_core() -> None:
         text = (commands / f"{name}.py").read_text(encoding="utf-8")
         # First of all, since it is too late once an import has loaded numpy.
         assert re.search(r'\n    """[^"]+"""\n    compute_on_one_core\(\)\n', text), name
+
+
+def test_collecting_garbage_goes_on_after_a_report_that_failed() -> None:
+    assert gc.isenabled()
+    with no_garbage_sought():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    with pytest.raises(ZeroDivisionError), no_garbage_sought():
+        _ = 1 // 0
+    assert gc.isenabled()

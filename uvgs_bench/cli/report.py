@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uvgs_bench.cli.one_core import compute_on_one_core
+from uvgs_bench.cli.one_core import compute_on_one_core, no_garbage_sought
 from uvgs_bench.cli.options import Force, IntervalSeed, Json
 from uvgs_bench.cli.registering import BoardFile, BoardRun, LinkFile, Terms, judge_registered
 from uvgs_bench.errors import ExitCode
@@ -34,16 +34,18 @@ def report(
 ) -> None:
     """Judge a run and write its report; exit 0 limits met, 1 limits missed, 3 inconclusive."""
     compute_on_one_core()
-    from uvgs_bench.cli.console import emit_json, print_path
-    from uvgs_bench.report import build_document, check_formats, write_document
-    from uvgs_bench.store.run import read_run
+    with no_garbage_sought():
+        from uvgs_bench.report import build_document, check_formats, write_document
+        from uvgs_bench.store.run import read_run
 
-    names = check_formats(formats.split(","))
-    found = read_run(run)
-    document = build_document(found, judge_registered(found, seed, terms, board_file, link_file, board_run))
-    # In the run's own folder reports are derived from what lies beside them, so they are rebuilt without asking.
-    is_own = out_folder is None or out_folder.resolve() == run.resolve()
-    paths = write_document(document, out_folder or run, names, force=force or is_own)
+        names = check_formats(formats.split(","))
+        found = read_run(run)
+        document = build_document(found, judge_registered(found, seed, terms, board_file, link_file, board_run))
+        # In the run's own folder reports are derived from what lies beside them, so they are rebuilt without asking.
+        is_own = out_folder is None or out_folder.resolve() == run.resolve()
+        paths = write_document(document, out_folder or run, names, force=force or is_own)
+    from uvgs_bench.cli.console import emit_json, print_path
+
     if as_json:
         figures = [figure.data() for figure in document.key_figures]
         files = {name: str(path) for name, path in paths.items()}
