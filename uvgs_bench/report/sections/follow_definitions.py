@@ -16,7 +16,10 @@ _ITEMS = (
     ("Braking, aborted", "It comes to rest after hold_s without a fresh pose; it gives up for good after abort_s."),
     ("Loss of sight", "Three or more captures in a row without a believed pose, not all just dropped or skipped."),
     ("Busy, dropped, outlier", "Skipped while the sensor was at work; never arrived; refused by the pose filter."),
-    ("World", "Axes of the leader at its start: x right, y down, z forward, seen from the follower."),
+    (
+        "World",
+        "Axes of the leader at its start: x right, y down, z forward from the follower; of the gantry if it follows.",
+    ),
 )
 
 

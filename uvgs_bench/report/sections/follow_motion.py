@@ -11,6 +11,7 @@ from uvgs_bench.report.follow_evidence import FollowEvidence
 from uvgs_bench.report.palette import BLUE, FAINT, GREEN, ORANGE
 
 _AXES = ("x, right", "y, down", "z, forward")
+_GANTRY_AXES = ("x, gantry", "y, gantry", "z, gantry")
 _ANGLES = ("yaw, about z", "pitch, about y", "roll, about x")
 # A path that is flatter than this is drawn in its plane all the same, m.
 _LEAST_SPAN_M = 0.02
@@ -21,7 +22,7 @@ def build(evidence: FollowEvidence) -> Section | None:
     if len(evidence.track.t_s) < 2:
         return None
     places = _over_time(
-        evidence, "follow-xyz", "m", _AXES, evidence.wanted_m, evidence.true_m, evidence.sensed_m,
+        evidence, "follow-xyz", "m", _names(evidence), evidence.wanted_m, evidence.true_m, evidence.sensed_m,
         "Position of the follower's body in the world over time: commanded (the station), true, sensed.",
     )  # fmt: skip
     angles = _over_time(
@@ -31,6 +32,10 @@ def build(evidence: FollowEvidence) -> Section | None:
     # A gantry follows by its linear axes: there are no angles to show.
     has_angles = evidence.run.manifest.plant != "gantry"
     return Section("motion", "Motion", (places, *((angles,) * has_angles), _paths(evidence)))
+
+
+def _names(evidence: FollowEvidence) -> tuple[str, str, str]:
+    return _GANTRY_AXES if evidence.run.manifest.plant == "gantry" else _AXES
 
 
 def _over_time(
@@ -75,12 +80,12 @@ def _over_time(
 
 def _paths(evidence: FollowEvidence) -> Figure:
     key = "follow-paths"
-    leader = evidence.leader_m
+    leader, names = evidence.leader_m, _names(evidence)
     a, b = sorted(np.argsort(-np.ptp(leader, axis=0), kind="stable")[:2].tolist())
     shown = thinned(len(leader))
     at_hue = [int(np.searchsorted(evidence.track.t_s, begin_s)) for begin_s, _ in evidence.hues]
     alt = (
-        f"Paths in the plane of {_AXES[a]} and {_AXES[b]}: the leader over {np.ptp(leader[:, a]):.2f} m by "
+        f"Paths in the plane of {names[a]} and {names[b]}: the leader over {np.ptp(leader[:, a]):.2f} m by "
         f"{np.ptp(leader[:, b]):.2f} m, and the follower; largest position error "
         f"{float(np.nanmax(np.linalg.norm(evidence.track.error_m, axis=1))):.3f} m."
     )
@@ -98,17 +103,17 @@ def _paths(evidence: FollowEvidence) -> Figure:
             axes.annotate(
                 label_of(hue, 8), (leader[i, a], leader[i, b]), (5, 5), textcoords="offset points", fontsize=8
             )
-        axes.set_xlabel(f"{_AXES[a]} (m)")
-        axes.set_ylabel(f"{_AXES[b]} (m)")
+        axes.set_xlabel(f"{names[a]} (m)")
+        axes.set_ylabel(f"{names[b]} (m)")
         _frame(axes, leader[:, a], leader[:, b])
-        if b == 1:
+        if names[b] == _AXES[1]:
             axes.invert_yaxis()
         legend_above(axes, 3)
         svg = svg_of(figure, key, alt)
-    data = [series(f"leader {_AXES[k].split(',')[0]}", "m", leader[:, k]) for k in (a, b)]
-    data += [series(f"sensed {_AXES[k].split(',')[0]}", "m", (evidence.sensed_m - offset)[:, k]) for k in (a, b)]
+    data = [series(f"leader {names[k].split(',')[0]}", "m", leader[:, k]) for k in (a, b)]
+    data += [series(f"sensed {names[k].split(',')[0]}", "m", (evidence.sensed_m - offset)[:, k]) for k in (a, b)]
     if evidence.is_true:
-        data += [series(f"true {_AXES[k].split(',')[0]}", "m", (evidence.true_m - offset)[:, k]) for k in (a, b)]
+        data += [series(f"true {names[k].split(',')[0]}", "m", (evidence.true_m - offset)[:, k]) for k in (a, b)]
     caption = "Paths of leader and follower, the station's offset taken off; squares where the leader changes its hue."
     return Figure(key, svg, alt, caption, tuple(data))
 

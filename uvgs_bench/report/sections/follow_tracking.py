@@ -71,7 +71,7 @@ def _drawing(evidence: FollowEvidence) -> Figure:
         series("time", "s", t_s),
         series("position error", "mm", error_mm),
         *(series(f"along {axis}", "mm", mm_from_m(evidence.track.error_m[:, k])) for k, axis in enumerate("xyz")),
-        series("attitude error", "deg", error_deg),
+        *((series("attitude error", "deg", error_deg),) if np.isfinite(error_deg).any() else ()),
     )
     caption = (
         "Length of the position error; losses of sight shaded, changes of hue dotted. Components in the leader's axes."
