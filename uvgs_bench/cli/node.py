@@ -59,7 +59,7 @@ def node(
     from time import perf_counter
 
     from uvgs_bench.cli.console import progress_sink
-    from uvgs_bench.cli.run_setup import handover_policy, open_captures, read_setup
+    from uvgs_bench.cli.run_setup import handover_policy, lens_of, open_captures, read_setup
     from uvgs_bench.cli.run_summary import show_summary
     from uvgs_bench.devices.ros import RosMessages, open_ros
     from uvgs_bench.interop.bag_writer import BagContents, BagPoses
@@ -85,10 +85,11 @@ def node(
         stack.callback(door.close)
         tally = None
         try:
+            known, beacons, parameters = read_setup(None, camera, beacon, config)
             sink(Remark("info", f"waiting for pictures on {image or 'a topic'}"))
             opened = open_captures(f"{version}:{image}?wait_s={_FOREVER_S:g}", None, stack, sink, 0.0)
             assert opened.live is not None
-            calibration, beacons, parameters = read_setup(None, camera, beacon, config, None, opened)
+            calibration = lens_of(opened) if known is None else known
             sensors = {lights.name: Uvgs(calibration, lights, parameters, clock=perf_counter) for lights in beacons}
             tuner = Retuner(sensors, parameters, perf_counter)
             door.offer_parameters(ros_parameters(parameters), tuner.ask)

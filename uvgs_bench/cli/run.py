@@ -211,7 +211,14 @@ def run(
     from uvgs_bench.cli import live_view, run_record
     from uvgs_bench.cli.run_commands import standard_input_names
     from uvgs_bench.cli.run_outlets import OutletOptions, open_outlets
-    from uvgs_bench.cli.run_setup import exposure_loop, handover_policy, open_captures, read_setup, recorded_run
+    from uvgs_bench.cli.run_setup import (
+        exposure_loop,
+        handover_policy,
+        lens_of,
+        open_captures,
+        read_setup,
+        recorded_run,
+    )
     from uvgs_bench.cli.run_summary import show_summary
     from uvgs_bench.sensor.difference import DifferenceConfig
     from uvgs_bench.sensor.uvgs import Uvgs
@@ -244,11 +251,12 @@ def run(
         again = run_record.recording_of(source, stack, sink)
         recorded = recorded_run(source) if again is None else None
         own = None if again is None else again.setup
+        known, beacons, parameters = read_setup(recorded, camera, beacon or [], config, own)
         if again is None:
             opened = open_captures(source, recorded, stack, sink, reconnect_s)
         else:
             opened = run_record.replayed(again, sink)
-        calibration, beacons, parameters = read_setup(recorded, camera, beacon or [], config, own, opened)
+        calibration = lens_of(opened) if known is None else known
         names = tuple(lights.name for lights in beacons)
         policy = handover_policy(handover, zone_m or [], hold_s, names, active)
         rules = StreamRules(limit, track, threads, policy, active, DifferenceConfig() if difference else None)

@@ -57,11 +57,8 @@ def read_setup(
     beacon: list[Path],
     config: Path | None,
     again: RecordSetup | None = None,
-    opened: OpenedSource | None = None,
-) -> tuple[Calibration, list[Beacon], UvgsConfig]:
+) -> tuple[Calibration | None, list[Beacon], UvgsConfig]:
     """Read what the captures are solved with; a run folder and a record have their own unless told otherwise.
-
-    Without a calibration the lens is taken that the source itself carries: a bag's or a topic's CameraInfo.
 
     Args:
         recorded: The run, or None.
@@ -69,10 +66,9 @@ def read_setup(
         beacon: Beacon files.
         config: Sensor parameters, or None.
         again: Setup of the record, or None.
-        opened: The open source, or None.
 
     Returns:
-        Calibration, beacons and parameters.
+        Calibration, beacons and parameters; no calibration when only the source may know it (``lens_of``).
 
     Raises:
         ConfigError: Something is missing, beacons share a name, or one hue is asked for several.
@@ -88,10 +84,6 @@ def read_setup(
     if not beacon and not has_own:
         raise ConfigError("is needed unless the source is a run folder or a record", "--beacon")
     calibration = read_calibration(camera) if camera is not None else None
-    if calibration is None and not has_own:
-        calibration = None if opened is None or opened.camera_info is None else opened.camera_info()
-        if calibration is None:
-            raise ConfigError("is needed unless the source is a run folder, a record, or says its lens", "--camera")
     beacons = [read_beacon(path) for path in beacon]
     if recorded is not None:
         calibration, beacons = calibration or recorded.calibration, beacons or [recorded.beacon]
@@ -99,7 +91,6 @@ def read_setup(
         config = own if config is None and own.is_file() else config
     if again is not None:
         calibration, beacons = calibration or again.calibration, beacons or list(again.beacons)
-    assert calibration is not None
     names = [lights.name for lights in beacons]
     for path, lights in zip(beacon, beacons, strict=False):
         if names.count(lights.name) > 1:
@@ -111,6 +102,25 @@ def read_setup(
             "one hue cannot hold for several beacons; it belongs into their files", str(config), "hue_deg"
         )
     return calibration, beacons, parameters
+
+
+def lens_of(opened: OpenedSource) -> Calibration:
+    """The lens that the source itself carries: the CameraInfo of a bag or of a topic.
+
+    Args:
+        opened: The open source.
+
+    Returns:
+        The calibration; how sure it is, is not known.
+
+    Raises:
+        ConfigError: It carries none.
+        CaptureError: What it says is no lens.
+    """
+    found = None if opened.camera_info is None else opened.camera_info()
+    if found is None:
+        raise ConfigError("is needed unless the source is a run folder, a record, or says its lens", "--camera")
+    return found
 
 
 def handover_policy(
