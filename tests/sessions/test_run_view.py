@@ -89,7 +89,11 @@ def test_the_gantry_moves_before_the_camera_only_when_allowed(bench, tmp_path):
     """The camera ``sim:`` looks at the very gantry that is moved."""
     with running_view(tmp_path, "sim:", *files(bench), "--allow-motion", bench) as view:
         captures = (data for name, data in view.events() if name == "capture")
-        assert next(captures)["gantry"]["is_homed"] is False
+        first = next(captures)
+        assert first["gantry"]["is_homed"] is False
+        assert first["gantry"]["positions"][0] == ["X", "unknown"]
+        # By the clock of the simulated bench: a figure between two clocks would be of hours.
+        assert 0.0 < first["latency_s"] < 10.0
         assert view.order("jog", axis="X", offset=-0.01)[0] == 409
         assert view.order("home")[0] == 200
         before = next(data for data in captures if data["gantry"]["said"] == "homing: done")

@@ -53,4 +53,5 @@ def shown_gantry(desk: JogDesk) -> GantryShown:
     if desk.is_moving:
         # What was true before the motion is true no more.
         return GantryShown("moving", is_homed, tuple((name, "moving") for name, _ in desk.axes), desk.said)
-    return GantryShown("unknown" if state is None else state.activity, is_homed, desk.positions, desk.said)
+    positions = desk.positions if is_homed else tuple((name, "unknown") for name, _ in desk.axes)
+    return GantryShown("unknown" if state is None else state.activity, is_homed, positions, desk.said)

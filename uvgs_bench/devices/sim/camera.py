@@ -137,6 +137,10 @@ class SimulatedCamera(ClosingSource):
         self._next += 1
         return capture
 
+    def now_ns(self) -> int:
+        """Bench time, ns; of a camera that steps, when its next exposure begins."""
+        return self._next * self._step_ns if self._clock is None else self._clock.now_ns()
+
     def capture_at(self, begin_ns: int, index: int) -> Capture:
         """The capture whose exposure begins at an instant that has passed.
 
