@@ -36,6 +36,10 @@ class RunningView:
                 return answer.status, json.load(answer)
         except urllib.error.HTTPError as error:
             return error.code, json.load(error)
+        except OSError as error:
+            time.sleep(5.0)
+            said = f"{path}: {error}; process {self.process.poll()}: {self.log.read_text()}"
+            raise AssertionError(said) from error
 
     def events(self) -> Iterator[tuple[str, dict[str, Any]]]:
         with urllib.request.urlopen(self.base + "events", timeout=60) as lines:
