@@ -186,6 +186,9 @@ def serve(
     """
     if not options.is_served:
         return
+    # Here, whole: the stream asks a loaded OpenCV for its threads, and must not meet it half loaded by another thread.
+    import cv2  # noqa: F401
+
     from uvgs_bench.sessions.events import Remark
     from uvgs_bench.view.broadcast import MOST_HZ, Broadcast
 
