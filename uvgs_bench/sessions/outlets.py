@@ -13,7 +13,7 @@ from typing import Protocol
 
 from uvgs_bench.beacon.geometry import Beacon
 from uvgs_bench.camera.calibration import Calibration
-from uvgs_bench.errors import UvgsError
+from uvgs_bench.errors import ConfigError, UvgsError
 from uvgs_bench.interop.bag_writer import BagPoses
 from uvgs_bench.interop.trajectories import PoseWriter
 from uvgs_bench.sensor.config import UvgsConfig
@@ -144,6 +144,8 @@ class DebugFolders:
     """
 
     def __init__(self, folder: Path, sensors: Mapping[str, Uvgs], *, force: bool = False) -> None:
+        if not force and folder.is_dir() and any(folder.iterdir()):
+            raise ConfigError("the folder is not empty; use --force to replace its pictures", str(folder))
         several = len(sensors) > 1
         self._folders = {
             name: DebugImages(folder / name if several else folder, uvgs, force=force) for name, uvgs in sensors.items()
