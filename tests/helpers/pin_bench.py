@@ -28,6 +28,11 @@ class TerminalBoard(BoardProgram):
             for setting in settings:
                 port.write(setting.encode("ascii") + b"\n")
                 assert port.read_until(b"ok\r\n").endswith(b"ok\r\n"), setting
+            # Opening the port again restarts the board, and what is not stored by then is lost.
+            flags = "W"
+            while "W" in flags:
+                port.write(b"$P\n")
+                flags = port.read_until(b"ok\r\n").decode("ascii").rpartition("[POS:")[2].split("|")[7]
 
 
 class PinScene:
