@@ -47,6 +47,8 @@ def recorded_run(source: str) -> Run | None:
     if ":" not in source and not is_bag_path(source):
         if folder.is_dir():
             raise ConfigError(f"that folder is no run; for pictures write images:{source}", source)
+        if folder.suffix in (".bag", ".mcap", ".db3"):
+            raise RunError("there is no such bag", source)
         raise RunError(f"there is no such run folder; for pictures write images:{source}", source)
     return None
 
