@@ -129,7 +129,7 @@ def test_the_same_seed_gives_the_same_plan_and_another_seed_another(files: Path)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_stops_the_motion_and_the_run_resumes(files: Path, tmp_path: Path, number: signal.Signals) -> None:
     code, _, stderr = interrupted(files, tmp_path, number, samples=4)
-    assert code == 130
+    assert code == 130, stderr[-1500:]
     (path,) = tmp_path.iterdir()
     assert f"uvgs gantry-sweep --resume {path}" in "".join(stderr.split("\n"))
     run = read_run(path)
